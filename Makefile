@@ -1,0 +1,33 @@
+# Everything a fresh Debian machine with Python 3.11 needs: `make demo` and `make test` set up first.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO := demo
+
+.PHONY: setup demo test lint clean
+
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt .ci/system_libraries
+	PYTHON=$(PYTHON) bash .ci/system_libraries
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/pytest
+
+# Scenes, renders and training go on where an interrupted demo stopped; `make clean` starts over.
+demo: setup
+	$(BIN)/night-gen scenes $(DEMO)/dataset --preset demo
+	$(BIN)/night-render $(DEMO)/dataset --spp 4096
+	$(BIN)/night-train $(DEMO)/dataset --out $(DEMO)/run --preset demo $(if $(wildcard $(DEMO)/run/run.json),--resume)
+	$(BIN)/night-eval $(DEMO)/run $(DEMO)/dataset --split test --out $(DEMO)/report
+
+clean:
+	rm -rf $(DEMO)
