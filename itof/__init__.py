@@ -1,0 +1,62 @@
+"""What an iToF measurement is: phasors, phase, depth, normalisation, and the EXR files that hold them.
+
+Arrays are numpy, image axes are (..., H, W, F) or (..., H, W, T), lengths are metres of *optical path*
+(out and back) where a name says `opl`, and metres of depth (half of it) where it says `depth`.
+"""
+
+from itof.channels import network_channels, phasors_of_channels, residual_channels
+from itof.direct import direct_phasors
+from itof.exr import (
+    Image,
+    ImageFileError,
+    TransientLayout,
+    TransientReader,
+    TransientWriter,
+    phasor_channels,
+    read_image,
+    write_image,
+)
+from itof.light import (
+    SPEED_OF_LIGHT,
+    amplitude,
+    depth_from_phase,
+    phase,
+    phase_per_metre,
+    phasor_of_return,
+    unambiguous_range_m,
+)
+from itof.measurement import MeasurementMatrix, join_components, phasors, split_components
+from itof.pinhole import pixel_rays, points_from_radial, radial_from_z, z_from_radial
+from itof.unwrapping import combined_range_m, unwrap_depth
+
+__all__ = [
+    "SPEED_OF_LIGHT",
+    "Image",
+    "ImageFileError",
+    "MeasurementMatrix",
+    "TransientLayout",
+    "TransientReader",
+    "TransientWriter",
+    "amplitude",
+    "combined_range_m",
+    "depth_from_phase",
+    "direct_phasors",
+    "join_components",
+    "network_channels",
+    "phase",
+    "phase_per_metre",
+    "phasor_channels",
+    "phasor_of_return",
+    "phasors",
+    "phasors_of_channels",
+    "pixel_rays",
+    "points_from_radial",
+    "radial_from_z",
+    "read_image",
+    "residual_channels",
+    "split_components",
+    "unambiguous_range_m",
+    "unwrap_depth",
+    "write_image",
+    "z_from_radial",
+]

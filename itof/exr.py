@@ -1,0 +1,306 @@
+"""The one place that knows image files: transients, phasors and depth maps as OpenEXR.
+
+Layout (docs/files.md has the reasons):
+
+* transient: one FLOAT channel ``transient.Y``; scanline y holds the W pixels of image row y one after the
+  other, each as its T bins in time order, so the file is H scanlines of W·T values and any block of rows
+  can be written or read alone. Attributes ``night.bin_count``, ``night.bin_width_m``, ``night.start_opl_m``.
+* image: named FLOAT channels of H x W. Phasors are ``<prefix>.<f>MHz.Re`` and ``.Im``.
+
+Both are losslessly compressed (ZIPS: one scanline a block), float32 throughout. Every attribute is text:
+OpenEXR would store a number as float32, and 0.01 would come back as 0.00999999978.
+
+Writers write in place: wrap them in `scenegen.whole_file` where a half-written file would matter.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import Imath
+import numpy as np
+import OpenEXR
+from numpy.typing import ArrayLike, NDArray
+
+from itof.measurement import MeasurementMatrix
+
+TRANSIENT_CHANNEL = "transient.Y"
+ATTRIBUTE_PREFIX = "night."
+_FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
+_PHASOR_CHANNEL = re.compile(r"^(?P<prefix>\w+)\.(?P<mhz>[0-9.eE+-]+)MHz\.(?P<part>Re|Im)$")
+_READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (DESIGN 4.14)
+
+
+class ImageFileError(ValueError):
+    """An image file that is missing, truncated, foreign or not as its layout promises."""
+
+
+@dataclass(frozen=True)
+class TransientLayout:
+    """Shape and time axis of a transient file.
+
+    Attributes
+    ----------
+    width, height : image size, pixels.
+    bin_count : T, number of time bins.
+    bin_width_m, start_opl_m : time axis in *optical path length* (out and back), metres.
+    """
+
+    width: int
+    height: int
+    bin_count: int
+    bin_width_m: float
+    start_opl_m: float
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height, self.bin_count) < 1 or not self.bin_width_m > 0:
+            raise ValueError(f"a transient has at least one pixel and one bin, got {self}")
+
+    @property
+    def rows_per_block(self) -> int:
+        """Image rows that fit the memory budget of one block."""
+        return max(1, _READ_BYTES // (4 * self.width * self.bin_count))
+
+
+class TransientWriter:
+    """Writes a transient row block by row block; use as a context manager.
+
+    Parameters
+    ----------
+    path : file to write.
+    layout : shape and time axis.
+    attributes : provenance, text by name (names gain the prefix ``night.``).
+
+    Raises
+    ------
+    OSError : the file cannot be written.
+    ValueError : a block of another shape, too many or too few rows.
+    """
+
+    def __init__(self, path: Path, layout: TransientLayout, attributes: Mapping[str, str]) -> None:
+        self.layout = layout
+        self._row = 0
+        header = OpenEXR.Header(layout.width * layout.bin_count, layout.height)
+        header["channels"] = {TRANSIENT_CHANNEL: Imath.Channel(_FLOAT)}
+        header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
+        axis = {name: repr(getattr(layout, name)) for name in ("bin_count", "bin_width_m", "start_opl_m")}
+        for name, text in {**attributes, **axis}.items():
+            header[ATTRIBUTE_PREFIX + name] = text.encode()
+        self._file = OpenEXR.OutputFile(str(path), header)
+
+    def write_rows(self, block: ArrayLike) -> None:
+        """Append image rows: (rows, W, T), stored as float32."""
+        rows = np.ascontiguousarray(block, dtype=np.float32)
+        if rows.ndim != 3 or rows.shape[1:] != (self.layout.width, self.layout.bin_count):
+            raise ValueError(
+                f"expected rows of {self.layout.width} pixels x {self.layout.bin_count} bins, "
+                f"got {rows.shape}"
+            )
+        if self._row + len(rows) > self.layout.height:
+            raise ValueError(f"row {self._row + len(rows)} is past the image's {self.layout.height} rows")
+        if len(rows):
+            self._file.writePixels({TRANSIENT_CHANNEL: rows.tobytes()}, len(rows))
+        self._row += len(rows)
+
+    def __enter__(self) -> TransientWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+        if kind is None and self._row != self.layout.height:
+            raise ValueError(f"only {self._row} of {self.layout.height} image rows were written")
+
+
+class TransientReader:
+    """Reads a transient in blocks of rows; use as a context manager.
+
+    Attributes
+    ----------
+    layout : shape and time axis.
+    attributes : provenance, text by name.
+
+    Raises
+    ------
+    ImageFileError : missing, truncated or foreign file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with _one_sentence(path):
+            self._file = OpenEXR.InputFile(str(path))
+            header = self._file.header()
+        self.attributes = {
+            name.removeprefix(ATTRIBUTE_PREFIX): value.decode()
+            for name, value in header.items()
+            if name.startswith(ATTRIBUTE_PREFIX) and isinstance(value, bytes)
+        }
+        missing = [n for n in ("bin_count", "bin_width_m", "start_opl_m") if n not in self.attributes]
+        if TRANSIENT_CHANNEL not in header["channels"] or missing:
+            raise ImageFileError(
+                f"{path} is an EXR file but no transient: it needs the channel {TRANSIENT_CHANNEL} and the "
+                f"attributes night.bin_count, night.bin_width_m and night.start_opl_m"
+            )
+        window = header["dataWindow"]
+        try:
+            bin_count = int(self.attributes["bin_count"])
+            self.layout = TransientLayout(
+                width=(window.max.x - window.min.x + 1) // bin_count,
+                height=window.max.y - window.min.y + 1,
+                bin_count=bin_count,
+                bin_width_m=float(self.attributes["bin_width_m"]),
+                start_opl_m=float(self.attributes["start_opl_m"]),
+            )
+        except (ValueError, ZeroDivisionError) as error:
+            raise ImageFileError(f"{path} has a time axis that makes no sense: {error}") from None
+        self._first_row = window.min.y
+
+    def read_rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Image rows start..stop-1 as (rows, W, T) float32."""
+        if not 0 <= start < stop <= self.layout.height:
+            raise ValueError(f"rows {start}..{stop} are not within the image's {self.layout.height} rows")
+        with _one_sentence(self.path):
+            first = self._first_row + start
+            data = self._file.channel(TRANSIENT_CHANNEL, _FLOAT, first, first + stop - start - 1)
+        return np.frombuffer(data, np.float32).reshape(stop - start, self.layout.width, self.layout.bin_count)
+
+    def row_blocks(self, rows: int | None = None) -> Iterator[NDArray[np.float32]]:
+        """All image rows in order, in blocks of `rows` (by default as many as fit 64 MiB)."""
+        step = rows or self.layout.rows_per_block
+        for start in range(0, self.layout.height, step):
+            yield self.read_rows(start, min(start + step, self.layout.height))
+
+    def phasors(self, frequencies_hz: Sequence[float]) -> NDArray[np.complex128]:
+        """(H, W, F) iToF phasors Φ x of the whole file, streamed."""
+        axis = self.layout
+        phi = MeasurementMatrix(tuple(frequencies_hz), axis.bin_count, axis.bin_width_m, axis.start_opl_m)
+        return phi.apply_streaming(self.row_blocks())
+
+    def __enter__(self) -> TransientReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+@dataclass(frozen=True)
+class Image:
+    """Named (H, W) float32 channels with text attributes."""
+
+    channels: dict[str, NDArray[np.float32]]
+    attributes: dict[str, str]
+
+    def channel(self, name: str) -> NDArray[np.float32]:
+        """One channel; `ImageFileError` names what there is when it is missing."""
+        if name not in self.channels:
+            raise ImageFileError(f"no channel {name} among {', '.join(sorted(self.channels))}")
+        return self.channels[name]
+
+    def phasors(self, prefix: str = "itof") -> tuple[NDArray[np.complex64], tuple[float, ...]]:
+        """(H, W, F) phasors stored under `prefix`, and their F frequencies in Hz, ascending."""
+        found = [match for name in self.channels if (match := _PHASOR_CHANNEL.match(name))]
+        labels = sorted({m["mhz"] for m in found if m["prefix"] == prefix}, key=float)
+        if not labels:
+            raise ImageFileError(f"no channel {prefix}.<f>MHz.Re/Im among {', '.join(sorted(self.channels))}")
+        parts = [
+            self.channel(f"{prefix}.{mhz}MHz.Re") + 1j * self.channel(f"{prefix}.{mhz}MHz.Im")
+            for mhz in labels
+        ]
+        # Through a decimal string, 20 MHz comes back as exactly 20e6 Hz.
+        return np.stack(parts, axis=-1).astype(np.complex64), tuple(float(f"{mhz}e6") for mhz in labels)
+
+
+def phasor_channels(
+    phasor: ArrayLike, frequencies_hz: Sequence[float], prefix: str = "itof"
+) -> dict[str, NDArray[np.float32]]:
+    """Channels ``<prefix>.<f>MHz.Re/Im`` of (H, W, F) phasors, float32."""
+    z = np.asarray(phasor)
+    channels: dict[str, NDArray[np.float32]] = {}
+    for index, frequency_hz in enumerate(frequencies_hz):
+        label = f"{prefix}.{np.format_float_positional(frequency_hz / 1e6, trim='-')}MHz"
+        channels[f"{label}.Re"] = z[..., index].real.astype(np.float32)
+        channels[f"{label}.Im"] = z[..., index].imag.astype(np.float32)
+    return channels
+
+
+def write_image(path: Path, channels: Mapping[str, ArrayLike], attributes: Mapping[str, str]) -> None:
+    """Write named (H, W) channels as float32.
+
+    Raises
+    ------
+    OSError : the file cannot be written.
+    ValueError : channels of different or non-image shapes.
+    """
+    pixels = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in channels.items()}
+    shapes = {values.shape for values in pixels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise ValueError(f"all channels of an image have one shape (H, W), got {sorted(shapes)}")
+    height, width = next(iter(shapes))
+    header = OpenEXR.Header(width, height)
+    header["channels"] = {name: Imath.Channel(_FLOAT) for name in pixels}
+    header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
+    for name, text in attributes.items():
+        header[ATTRIBUTE_PREFIX + name] = text.encode()
+    file = OpenEXR.OutputFile(str(path), header)
+    try:
+        file.writePixels({name: values.tobytes() for name, values in pixels.items()}, height)
+    finally:
+        file.close()
+
+
+def read_image(path: Path) -> Image:
+    """Read all channels of an EXR image as (H, W) float32.
+
+    Raises
+    ------
+    ImageFileError : missing, truncated or foreign file.
+    """
+    with _one_sentence(path):
+        file = OpenEXR.InputFile(str(path))
+        try:
+            header = file.header()
+            window = header["dataWindow"]
+            shape = (window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)
+            names = list(header["channels"])
+            data = file.channels(names, _FLOAT)
+        finally:
+            file.close()
+    channels = {
+        name: np.frombuffer(values, np.float32).reshape(shape)
+        for name, values in zip(names, data, strict=True)
+    }
+    attributes = {
+        name.removeprefix(ATTRIBUTE_PREFIX): value.decode()
+        for name, value in header.items()
+        if name.startswith(ATTRIBUTE_PREFIX) and isinstance(value, bytes)
+    }
+    return Image(channels, attributes)
+
+
+@contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    """Turn OpenEXR's errors into one sentence, and keep its own prints off the terminal."""
+    if not path.is_file():
+        raise ImageFileError(f"{path} does not exist")
+    with tempfile.TemporaryFile() as chatter:
+        kept = os.dup(2)
+        os.dup2(chatter.fileno(), 2)
+        try:
+            yield
+        except (OSError, RuntimeError, TypeError, ValueError) as error:
+            raise ImageFileError(
+                f"{path} is damaged or no EXR file ({str(error).strip()}): delete it and make it again"
+            ) from None
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)

@@ -1,0 +1,128 @@
+"""The measurement matrix Φ: from time-resolved pixels to iToF phasors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from itof.light import SPEED_OF_LIGHT, phase_per_metre
+
+
+@dataclass(frozen=True)
+class MeasurementMatrix:
+    """Φ for one time axis and one set of frequencies: build once, apply to many pixels.
+
+    Attributes
+    ----------
+    frequencies_hz : F modulation frequencies, Hz.
+    bin_count : T, number of time bins.
+    bin_width_m : bin width in *optical path length* (out and back), metres.
+    start_opl_m : optical path length where the first bin begins, metres.
+
+    Raises
+    ------
+    ValueError : no frequency, no bin, a width that is not positive, or a frequency at or above
+        c / (2 bin_width_m), which these bins cannot resolve.
+
+    Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); bin centres are our choice.
+    """
+
+    frequencies_hz: tuple[float, ...]
+    bin_count: int
+    bin_width_m: float
+    start_opl_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.frequencies_hz:
+            raise ValueError("a measurement needs at least one modulation frequency, got none")
+        if self.bin_count < 1 or not self.bin_width_m > 0:
+            raise ValueError(
+                f"a time axis needs bins: got {self.bin_count} bins of {self.bin_width_m} m optical path"
+            )
+        phase_per_metre(self.frequencies_hz)
+        limit_hz = SPEED_OF_LIGHT / (2 * self.bin_width_m)  # Nyquist: two bins to a period, not a path length
+        too_fast = [f for f in self.frequencies_hz if f >= limit_hz]
+        if too_fast:
+            raise ValueError(
+                f"bins of {self.bin_width_m} m cannot resolve {too_fast[0] / 1e6:g} MHz: "
+                f"use frequencies below {limit_hz / 1e6:g} MHz or narrower bins"
+            )
+
+    @property
+    def bin_centres_m(self) -> NDArray[np.float64]:
+        """(T,) optical path length of every bin's centre, metres."""
+        return self.start_opl_m + (np.arange(self.bin_count) + 0.5) * self.bin_width_m
+
+    @property
+    def rows(self) -> NDArray[np.float64]:
+        """(2F, T) real matrix Φ: F rows of cosines, then F rows of sines."""
+        angle_rad = np.outer(phase_per_metre(self.frequencies_hz), self.bin_centres_m)  # (F, T)
+        return np.concatenate([np.cos(angle_rad), np.sin(angle_rad)])  # (2F, T)
+
+    def apply(self, transient: ArrayLike) -> NDArray[np.complex128]:
+        """Phasors of `transient` (..., T): (..., F) complex, in its unit; summed in float64.
+
+        Raises
+        ------
+        ValueError : the last axis has not T entries.
+        """
+        x = np.asarray(transient, dtype=np.float64)
+        if x.ndim == 0 or x.shape[-1] != self.bin_count:
+            raise ValueError(f"expected {self.bin_count} time bins on the last axis, got shape {x.shape}")
+        return join_components(x @ self.rows.T)
+
+    def apply_streaming(self, row_blocks: Iterable[NDArray[np.float32]]) -> NDArray[np.complex128]:
+        """Phasors of an image that arrives in blocks of rows, each (rows, W, T): (H, W, F) complex.
+
+        Only one block is held in memory at a time, so a QVGA x 2000 cube never has to be.
+        """
+        return np.concatenate(list(self._apply_each(row_blocks)), axis=0)
+
+    def _apply_each(self, row_blocks: Iterable[NDArray[np.float32]]) -> Iterator[NDArray[np.complex128]]:
+        rows = self.rows.T
+        for block in row_blocks:
+            # One image row at a time in float64: a block's copy in double precision would double its memory.
+            yield join_components(np.stack([row.astype(np.float64) @ rows for row in block]))
+
+
+def phasors(
+    transient: ArrayLike, frequencies_hz: Sequence[float], bin_width_m: float, *, start_opl_m: float = 0.0
+) -> NDArray[np.complex128]:
+    """Complex iToF phasors of time-resolved pixels.
+
+    z_f = sum_t transient[..., t] * exp(+2j π f tau_t),  tau_t = (start_opl_m + (t + 1/2) bin_width_m) / c
+
+    Parameters
+    ----------
+    transient : (..., T) float array, radiant energy per bin of optical path length.
+    frequencies_hz : F modulation frequencies, Hz.
+    bin_width_m : bin width in *optical path length* (out and back), metres.
+
+    Returns
+    -------
+    (..., F) complex array, in the unit of `transient`.
+
+    Raises
+    ------
+    ValueError : a frequency at or above c / (2 bin_width_m), which these bins cannot resolve.
+
+    Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); bin centres are our choice.
+    """
+    x = np.asarray(transient)
+    return MeasurementMatrix(tuple(frequencies_hz), x.shape[-1], bin_width_m, start_opl_m).apply(x)
+
+
+def join_components(components: ArrayLike) -> NDArray[np.complex128]:
+    """(..., 2F) reals, cosine rows then sine rows, to (..., F) complex phasors."""
+    z = np.asarray(components)
+    frequency_count = z.shape[-1] // 2  # cosine and sine halves, not a path length
+    return z[..., :frequency_count] + 1j * z[..., frequency_count:]
+
+
+def split_components(phasor: ArrayLike) -> NDArray[np.float64]:
+    """(..., F) complex phasors to (..., 2F) reals: F real parts, then F imaginary parts."""
+    z = np.asarray(phasor)
+    return np.concatenate([z.real, z.imag], axis=-1)

@@ -1,0 +1,111 @@
+"""Pinhole geometry, the direct return, and the network channels with their inverse."""
+
+import numpy as np
+import pytest
+
+from itof import (
+    direct_phasors,
+    network_channels,
+    phase_per_metre,
+    phasors_of_channels,
+    pixel_rays,
+    points_from_radial,
+    radial_from_z,
+    residual_channels,
+    z_from_radial,
+)
+
+FREQUENCIES_HZ = (20e6, 50e6, 60e6)
+FACING_THE_WALL = np.eye(3)  # camera axes right, down, forward = world x, y, z
+
+
+def test_the_outermost_pixel_edges_span_the_field_of_view():
+    rays = pixel_rays(8, 6, 60.0)
+    x_over_z = rays[3, :, 0] / rays[3, :, 2]
+    half_pixel = (x_over_z[1] - x_over_z[0]) / 2
+    assert np.degrees(np.arctan(x_over_z[-1] + half_pixel)) == pytest.approx(30.0, abs=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0)
+
+
+def test_rows_go_down_and_columns_go_right_with_square_pixels():
+    rays = pixel_rays(8, 6, 60.0)
+    tangents = rays[..., :2] / rays[..., 2:]
+    np.testing.assert_allclose(tangents[0, 1, 0] - tangents[0, 0, 0], tangents[1, 0, 1] - tangents[0, 0, 1])
+    assert tangents[0, 0, 0] < 0
+    assert tangents[0, 0, 1] < 0
+
+
+def test_a_plane_across_the_optical_axis_has_one_z_depth():
+    z_depth_m = np.full((6, 8), 2.5)
+    radial_depth_m = radial_from_z(z_depth_m, 60.0)
+    assert radial_depth_m.max() > 2.5
+    np.testing.assert_allclose(z_from_radial(radial_depth_m, 60.0), z_depth_m)
+    np.testing.assert_allclose(points_from_radial(radial_depth_m, 60.0)[..., 2], 2.5)
+
+
+def test_the_direct_return_of_a_facing_wall_has_its_closed_form():
+    # Facing wall at distance h: r = h / cos o and cos a = cos o, so L = cos o / (r^2 cos^3 o) = 1 / h^2.
+    z = direct_phasors(8, 6, 60.0, [1.0], FACING_THE_WALL, (0, 0, 0), (0, 0, 1.5), (0, 0, -1))
+    np.testing.assert_allclose(np.abs(z), 1 / 1.5**2, rtol=1e-9)
+
+
+def test_the_phase_of_the_direct_return_is_that_of_twice_the_distance():
+    z = direct_phasors(64, 48, 10.0, [20e6], FACING_THE_WALL, (0, 0, 0), (0, 0, 1.5), (0, 0, 1))
+    distance_m = 1.5 / pixel_rays(64, 48, 10.0)[..., 2]
+    expected = 2 * distance_m * phase_per_metre(20e6)
+    # Averaging over a pixel of angle p shifts the mean path by about h p^2 / 12, here 1e-6 m.
+    np.testing.assert_allclose(np.angle(z[..., 0]), expected, atol=1e-5)
+
+
+def test_rays_that_miss_the_wall_return_nothing():
+    z = direct_phasors(8, 6, 60.0, [20e6], FACING_THE_WALL, (0, 0, 0), (0, 0, -1.5), (0, 0, 1))
+    assert not z.any()
+
+
+def test_the_papers_seven_channels_are_in_the_papers_order():
+    z = np.full((6, 8, 3), 2.0j) * np.array([1.0, 0.5, 0.25])
+    channels = network_channels(z, amplitude_scale=4.0)
+    assert channels.shape == (7, 6, 8)
+    assert channels.dtype == np.float32
+    np.testing.assert_allclose(channels[:, 3, 5], [0.5, 0, 0, 0, 1, 0.5, 0.25], atol=1e-7)
+
+
+@pytest.mark.parametrize("frequency_count", [1, 2, 5])
+def test_channels_invert_for_any_number_of_frequencies(frequency_count):
+    rng = np.random.default_rng(1)
+    z = rng.standard_normal((2, 6, 8, frequency_count, 2)) @ np.array([1, 1j])
+    channels = network_channels(z, 0.3)
+    assert channels.shape == (2, 1 + 2 * frequency_count, 6, 8)
+    np.testing.assert_allclose(phasors_of_channels(channels, 0.3), z, rtol=0, atol=1e-5)
+
+
+def test_dark_pixels_become_zero_in_every_channel():
+    z = np.zeros((6, 8, 3), complex)
+    assert not network_channels(z, 1.0).any()
+    assert not residual_channels(z, np.ones_like(z)).any()
+
+
+def test_residual_channels_of_the_direct_return_alone_are_zero():
+    reference = direct_phasors(8, 6, 60.0, FREQUENCIES_HZ, FACING_THE_WALL, (0, 0, 0), (0, 0, 2), (0, 0, 1))
+    # At 8x6 pixels |reference| differs between frequencies by 4 %, which must drop out as well.
+    residual = residual_channels(3.7 * reference, reference)
+    assert residual.shape == (5, 6, 8)
+    assert np.abs(residual).max() < 1e-6
+
+
+def test_residual_channels_see_a_hidden_return_to_first_order():
+    reference = direct_phasors(8, 6, 60.0, FREQUENCIES_HZ, FACING_THE_WALL, (0, 0, 0), (0, 0, 2), (0, 0, 1))
+    unit = reference / np.abs(reference)
+    reference = unit
+    hidden = 2e-3 * np.exp(1j * phase_per_metre(FREQUENCIES_HZ) * 9.0) * np.ones_like(unit)
+    residual = residual_channels(unit + hidden, reference)
+    turned = hidden * np.conj(unit)
+    expected = np.concatenate([turned.imag, turned.real[..., 1:] - turned.real[..., :1]], axis=-1)
+    # Dividing by |z_20| instead of 1 changes the hidden part by its own relative size.
+    np.testing.assert_allclose(residual, np.moveaxis(expected, -1, 0), atol=2 * (2e-3) ** 2)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_amplitude_scale_that_is_no_positive_number_is_refused(scale):
+    with pytest.raises(ValueError, match="positive number"):
+        network_channels(np.ones((6, 8, 3), complex), scale)

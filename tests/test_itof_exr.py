@@ -1,0 +1,113 @@
+"""EXR files: what is written is read back, in blocks, and what is damaged is said to be so."""
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from itof import (
+    ImageFileError,
+    TransientLayout,
+    TransientReader,
+    TransientWriter,
+    phasor_channels,
+    phasors,
+    read_image,
+    write_image,
+)
+
+LAYOUT = TransientLayout(width=5, height=7, bin_count=11, bin_width_m=0.01, start_opl_m=0.3)
+
+
+@pytest.fixture
+def cube():
+    return np.random.default_rng(0).random((7, 5, 11), dtype=np.float32)
+
+
+@pytest.fixture
+def transient_file(tmp_path, cube):
+    path = tmp_path / "transient.exr"
+    with TransientWriter(path, LAYOUT, {"method": "test"}) as writer:
+        writer.write_rows(cube[:4])
+        writer.write_rows(cube[4:])
+    return path
+
+
+def test_a_transient_comes_back_bit_for_bit_in_any_blocks(transient_file, cube):
+    with TransientReader(transient_file) as reader:
+        assert reader.layout == LAYOUT
+        assert reader.attributes["method"] == "test"
+        np.testing.assert_array_equal(np.concatenate(list(reader.row_blocks(3))), cube)
+        np.testing.assert_array_equal(reader.read_rows(5, 6), cube[5:6])
+
+
+def test_an_ordinary_exr_reader_sees_time_contiguous_pixels(transient_file, cube):
+    with OpenEXR.File(str(transient_file)) as file:
+        pixels = file.channels()["transient.Y"].pixels
+        assert file.header()["night.bin_width_m"] == "0.01"
+    np.testing.assert_array_equal(pixels.reshape(7, 5, 11), cube)
+
+
+def test_phasors_of_a_file_are_those_of_the_cube(transient_file, cube):
+    with TransientReader(transient_file) as reader:
+        streamed = reader.phasors([20e6, 60e6])
+    np.testing.assert_allclose(streamed, phasors(cube, [20e6, 60e6], 0.01, start_opl_m=0.3), rtol=1e-12)
+
+
+def test_phasors_keep_their_frequencies_and_values(tmp_path):
+    z = (np.arange(24).reshape(2, 4, 3) * (1 - 2j)).astype(np.complex64)
+    write_image(tmp_path / "itof.exr", phasor_channels(z, [20e6, 62.5e6, 60e6]), {})
+    image = read_image(tmp_path / "itof.exr")
+    assert {"itof.20MHz.Re", "itof.62.5MHz.Im"} <= set(image.channels)
+    back, frequencies_hz = image.phasors()
+    assert frequencies_hz == (20e6, 60e6, 62.5e6)
+    np.testing.assert_array_equal(back, z[..., [0, 2, 1]])
+
+
+def test_strided_channels_are_stored_as_they_look(tmp_path):
+    values = np.arange(48, dtype=np.float32).reshape(6, 8)
+    write_image(tmp_path / "a.exr", {"a": values.T, "b": values.T[::-1]}, {})
+    image = read_image(tmp_path / "a.exr")
+    np.testing.assert_array_equal(image.channel("a"), values.T)
+    np.testing.assert_array_equal(image.channel("b"), values.T[::-1])
+
+
+def test_a_file_with_missing_rows_is_never_finished(tmp_path, cube):
+    with (
+        pytest.raises(ValueError, match="only 4 of 7"),
+        TransientWriter(tmp_path / "a.exr", LAYOUT, {}) as writer,
+    ):
+        writer.write_rows(cube[:4])
+
+
+def test_rows_of_another_shape_are_refused(tmp_path, cube):
+    with (
+        pytest.raises(ValueError, match="expected rows of 5 pixels x 11 bins"),
+        TransientWriter(tmp_path / "a.exr", LAYOUT, {}) as writer,
+    ):
+        writer.write_rows(cube[:, :4])
+
+
+@pytest.mark.parametrize("keep", [0, 7, 200, 600])
+def test_a_truncated_transient_is_refused_in_one_sentence(transient_file, keep):
+    transient_file.write_bytes(transient_file.read_bytes()[:keep])
+    with pytest.raises(ImageFileError, match="damaged or no EXR file"):
+        _read_all(transient_file)
+
+
+def test_a_missing_file_and_a_foreign_one_are_refused(tmp_path, transient_file, capfd):
+    with pytest.raises(ImageFileError, match="does not exist"):
+        read_image(tmp_path / "nowhere.exr")
+    (tmp_path / "text.exr").write_text("no picture at all")
+    with pytest.raises(ImageFileError, match="no EXR file"):
+        read_image(tmp_path / "text.exr")
+    write_image(tmp_path / "plain.exr", {"Y": np.ones((3, 4))}, {})
+    with pytest.raises(ImageFileError, match="no transient"):
+        _read_all(tmp_path / "plain.exr")
+    with pytest.raises(ImageFileError, match="no channel itof"):
+        read_image(transient_file).phasors()
+    assert capfd.readouterr().err == ""  # OpenEXR's own lines stay off the terminal
+
+
+def _read_all(path):
+    with TransientReader(path) as reader:
+        return list(reader.row_blocks())
