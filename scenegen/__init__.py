@@ -1,0 +1,52 @@
+"""What a scene and a dataset folder are, as plain data, and the one file that makes them in Blender.
+
+`scenegen.blender` is not imported here: it needs `bpy`, and only ``night-gen`` does.
+"""
+
+from scenegen.chatter import silenced
+from scenegen.dataset import (
+    Dataset,
+    DatasetError,
+    DatasetIndex,
+    SceneEntry,
+    build_index,
+    open_dataset,
+    write_index,
+)
+from scenegen.pose import camera_axes, rotation_matrix, wall_normal
+from scenegen.preset import Preset, PresetError, load_preset, preset_from_dict, read_settings
+from scenegen.sampling import SamplingError, leaks, sample_scene, sample_valid_scene
+from scenegen.scene import Camera, Scene, Split, scene_from_json, scene_id, scene_to_json
+from scenegen.whole_files import whole_file, whole_folder, write_text
+
+__all__ = [
+    "Camera",
+    "Dataset",
+    "DatasetError",
+    "DatasetIndex",
+    "Preset",
+    "PresetError",
+    "SamplingError",
+    "Scene",
+    "SceneEntry",
+    "Split",
+    "build_index",
+    "camera_axes",
+    "leaks",
+    "load_preset",
+    "open_dataset",
+    "preset_from_dict",
+    "read_settings",
+    "rotation_matrix",
+    "sample_scene",
+    "sample_valid_scene",
+    "scene_from_json",
+    "scene_id",
+    "scene_to_json",
+    "silenced",
+    "wall_normal",
+    "whole_file",
+    "whole_folder",
+    "write_index",
+    "write_text",
+]

@@ -1,0 +1,146 @@
+"""The dataset folder: a contract between all stages.
+
+``dataset.json``, ``scenes/<id>/{scene.json,scene.xml,mirrored.xml,*.ply}``, ``renders/<id>/...``,
+``shards/...``; ids are zero-padded indices.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass as plain_dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from scenegen.preset import STRICT, Preset, checked
+from scenegen.scene import Scene, Split, scene_from_json, scene_id
+from scenegen.whole_files import write_text
+
+DATASET_SCHEMA = 1  # the Literal below is this number
+
+
+class DatasetError(ValueError):
+    """A dataset folder that is missing, foreign, of another schema or incomplete."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class SceneEntry:
+    """One line of the scene list."""
+
+    id: str
+    object_class: str
+    split: Split
+
+
+@dataclass(frozen=True, config=STRICT)
+class DatasetIndex:
+    """Contents of ``dataset.json``: what was asked for, by what it was made, and the scene list."""
+
+    generator: str
+    generator_version: str
+    blender_version: str
+    seed: Annotated[int, Field(ge=0)]
+    preset: Preset
+    scenes: Annotated[tuple[SceneEntry, ...], Field(min_length=1)]
+    schema_version: Literal[1] = 1
+
+
+@plain_dataclass(frozen=True)
+class Dataset:
+    """An opened dataset folder."""
+
+    root: Path
+    index: DatasetIndex
+
+    @property
+    def preset(self) -> Preset:
+        """The preset as it was resolved when the dataset was made."""
+        return self.index.preset
+
+    def ids(self, split: Split | None = None) -> list[str]:
+        """Scene ids in order, of one split or of all."""
+        return [entry.id for entry in self.index.scenes if split in (None, entry.split)]
+
+    def entry(self, scene: str) -> SceneEntry:
+        """Class and split of a scene; `DatasetError` when there is no such scene."""
+        for entry in self.index.scenes:
+            if entry.id == scene:
+                return entry
+        raise DatasetError(
+            f"{self.root} has no scene {scene}: its ids run from {self.index.scenes[0].id} "
+            f"to {self.index.scenes[-1].id}"
+        )
+
+    def scene_folder(self, scene: str) -> Path:
+        """Folder of a scene's description and meshes."""
+        return self.root / "scenes" / scene
+
+    def render_folder(self, scene: str) -> Path:
+        """Folder of what was rendered of a scene."""
+        return self.root / "renders" / scene
+
+    @property
+    def shard_folder(self) -> Path:
+        """Folder of the arrays that training reads."""
+        return self.root / "shards"
+
+    def scene(self, scene: str) -> Scene:
+        """The scene's data; `DatasetError` when its file is gone, `PresetError` when it is damaged."""
+        file = self.scene_folder(scene) / "scene.json"
+        try:
+            text = file.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise DatasetError(f"{file} is missing: run night-gen scenes again") from None
+        return scene_from_json(text, str(file))
+
+
+def build_index(preset: Preset, scenes: Sequence[Scene], blender_version: str) -> DatasetIndex:
+    """The index of `scenes`, made from `preset`."""
+    return DatasetIndex(
+        generator="night-gen",
+        generator_version=version("night-nlos"),
+        blender_version=blender_version,
+        seed=preset.dataset.seed,
+        preset=preset,
+        scenes=tuple(
+            SceneEntry(id=scene_id(s.index), object_class=s.object_class, split=s.split) for s in scenes
+        ),
+    )
+
+
+def write_index(root: Path, index: DatasetIndex) -> None:
+    """Write ``dataset.json``, whole or not at all."""
+    write_text(root / "dataset.json", TypeAdapter(DatasetIndex).dump_json(index, indent=2).decode() + "\n")
+
+
+def open_dataset(root: Path) -> Dataset:
+    """Open a dataset folder.
+
+    Raises
+    ------
+    DatasetError : no such folder, not a dataset, or one of another schema.
+    PresetError : a ``dataset.json`` against the contract, by key.
+    """
+    file = root / "dataset.json"
+    if not root.is_dir():
+        raise DatasetError(f"there is no folder {root}: make a dataset with night-gen scenes {root}")
+    try:
+        text = file.read_text(encoding="utf-8")
+        data = json.loads(text)
+    except FileNotFoundError:
+        raise DatasetError(
+            f"{root} is no NIGHT dataset (it has no dataset.json): make one with night-gen scenes"
+        ) from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise DatasetError(f"{file} cannot be read as JSON: {error}") from None
+    schema = data.get("schema_version") if isinstance(data, dict) else None
+    if schema != DATASET_SCHEMA:
+        raise DatasetError(
+            f"{file} has schema version {schema}, this program reads version {DATASET_SCHEMA}: "
+            "make the dataset again, or use the version of NIGHT that made it"
+        )
+    return Dataset(root, checked(TypeAdapter(DatasetIndex), text, str(file)))

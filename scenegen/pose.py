@@ -1,0 +1,31 @@
+"""Where things face: rotations as Blender means them, for those who have no Blender."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen.preset import Vector
+from scenegen.scene import Camera, Wall
+
+
+def rotation_matrix(rotation_deg: Vector) -> NDArray[np.float64]:
+    """(3, 3) matrix of Blender's XYZ Euler angles, degrees: first about x, then y, then z (world axes)."""
+    (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(rotation_deg)), np.cos(np.radians(rotation_deg))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    matrix: NDArray[np.float64] = about_z @ about_y @ about_x
+    return matrix
+
+
+def camera_axes(camera: Camera) -> NDArray[np.float64]:
+    """(3, 3) rows: the camera's right, down and forward in the world (Blender looks along its own -z)."""
+    right, up, backward = rotation_matrix(camera.rotation_deg).T
+    return np.stack([right, -up, -backward])
+
+
+def wall_normal(wall: Wall) -> NDArray[np.float64]:
+    """(3,) the way a wall faces: +z before it is turned."""
+    normal: NDArray[np.float64] = rotation_matrix(wall.rotation_deg)[:, 2]
+    return normal

@@ -1,0 +1,256 @@
+"""Presets: every number of a dataset, read from TOML, checked once."""
+
+from __future__ import annotations
+
+import json
+import sysconfig
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+Shape = Literal["cube", "cylinder", "sphere", "cone", "concave_plane", "parallelepiped"]
+Material = Literal["rough", "diffuse"]
+Vector = tuple[float, float, float]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+Extent = tuple[Positive, Positive, Positive]
+Reflectance = Annotated[float, Field(ge=0, le=1)]
+Roughness = Annotated[float, Field(gt=0, le=1)]
+FieldOfView = Annotated[float, Field(gt=0, lt=180)]
+WholeCount = Annotated[int, Field(ge=1)]
+
+
+class PresetError(ValueError):
+    """A preset that is missing, cannot be read, or asks for something impossible."""
+
+
+def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError(f"range [{bounds[0]:g}, {bounds[1]:g}] is empty: give the lower bound first")
+    return bounds
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_ascending)]
+
+
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) != len(values):
+        raise ValueError("the same entry stands twice in the list")
+    return values
+
+
+@dataclass(frozen=True, config=STRICT)
+class DatasetSettings:
+    """How many scenes, from which seed, split how (fractions of all, and of what remains)."""
+
+    count: WholeCount = 1344
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    test_fraction: Fraction = 0.2
+    validation_fraction: Fraction = 0.2
+
+
+@dataclass(frozen=True, config=STRICT)
+class LocationRanges:
+    """Where the hidden object's centre may lie, metres, per world axis."""
+
+    x: Range = (1.0, 1.3)
+    y: Range = (0.5, 1.3)
+    z: Range = (1.25, 1.95)
+
+
+@dataclass(frozen=True, config=STRICT)
+class RotationRanges:
+    """XYZ Euler angles of the hidden object, degrees."""
+
+    x: Range = (-90.0, 90.0)
+    y: Range = (-90.0, 90.0)
+    z: Range = (-90.0, 90.0)
+
+
+@dataclass(frozen=True, config=STRICT)
+class ShapeSizes:
+    """Extents of each primitive along its own axes, metres.
+
+    The paper gives only a 0.5 m box; these sizes give its background/object pixel ratio (DESIGN 4.10).
+    The concave plane is an arc of radius 0.35 m over ±1 rad, 0.6 m high: sagitta, chord, height.
+    """
+
+    cube: Extent = (0.5, 0.5, 0.5)
+    cylinder: Extent = (0.4, 0.4, 0.55)
+    sphere: Extent = (0.56, 0.56, 0.56)
+    cone: Extent = (0.56, 0.56, 0.55)
+    concave_plane: Extent = (0.1609, 0.589, 0.6)
+    parallelepiped: Extent = (0.3, 0.3, 0.6)
+
+    def of(self, shape: Shape) -> Extent:
+        """Extents of one primitive, metres."""
+        size: Extent = getattr(self, shape)
+        return size
+
+
+@dataclass(frozen=True, config=STRICT)
+class HiddenObjectSettings:
+    """What hides behind the corner, and where."""
+
+    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), AfterValidator(_distinct)] = (
+        "cube",
+        "cylinder",
+        "sphere",
+        "cone",
+        "concave_plane",
+        "parallelepiped",
+    )
+    composite_fraction: Fraction = 0.142857
+    location_m: LocationRanges = LocationRanges()
+    rotation_deg: RotationRanges = RotationRanges()
+    composite_offset_m: Range = (-0.12, 0.15)
+    composite_rotation_deg: Range = (-45.0, 45.0)
+    size_m: ShapeSizes = ShapeSizes()
+    reflectance: Reflectance = 1.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class RelayWallSettings:
+    """The wall everybody sees: a plane that faces +z before it is turned, size along its own x and y."""
+
+    material: Material = "rough"
+    roughness: Annotated[tuple[Roughness, ...], Field(min_length=1), AfterValidator(_distinct)] = (
+        *(0.30, 0.35, 0.40, 0.45, 0.50, 0.55, 0.60, 0.65),
+        *(0.70, 0.75, 0.80, 0.85, 0.90, 0.95, 1.00),
+    )
+    reflectance: Reflectance = 1.0
+    size_m: tuple[Positive, Positive] = (4.0, 8.0)
+    location_m: Vector = (0.0, 0.0, 2.0)
+    rotation_deg: Vector = (0.0, 90.0, 0.0)
+
+
+@dataclass(frozen=True, config=STRICT)
+class MiddleWallSettings:
+    """The black wall that hides the object from the camera."""
+
+    size_m: tuple[Positive, Positive] = (3.3, 4.0)
+    location_m: Vector = (2.35, 0.0, 2.0)
+    rotation_deg: Vector = (90.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, config=STRICT)
+class CameraSettings:
+    """Detector and, at the same place with the same frustum, the projector (Blender camera axes)."""
+
+    width: WholeCount = 320
+    height: WholeCount = 240
+    horizontal_fov_deg: FieldOfView = 60.0
+    location_m: Vector = (1.0, -1.0, 1.65)
+    rotation_deg: Vector = (90.0, 0.0, 50.0)
+
+
+@dataclass(frozen=True, config=STRICT)
+class TransientSettings:
+    """Time axis in optical path length, and how many surfaces light may meet."""
+
+    bin_count: WholeCount = 2000
+    bin_width_m: Positive = 0.01
+    start_opl_m: Annotated[float, Field(ge=0)] = 0.0
+    max_bounces: Annotated[int, Field(ge=1, le=64)] = 3
+
+
+@dataclass(frozen=True, config=STRICT)
+class ItofSettings:
+    """Modulation frequencies of the camera, Hz, lowest first."""
+
+    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1), AfterValidator(_distinct)] = (
+        20e6,
+        50e6,
+        60e6,
+    )
+
+    def __post_init__(self) -> None:
+        if list(self.frequencies_hz) != sorted(self.frequencies_hz):
+            raise ValueError("frequencies_hz must ascend: the first is the reference of the network channels")
+
+
+@dataclass(frozen=True, config=STRICT)
+class Preset:
+    """All settings of a dataset; every key has the paper's value as default."""
+
+    dataset: DatasetSettings = DatasetSettings()
+    hidden_object: HiddenObjectSettings = HiddenObjectSettings()
+    relay_wall: RelayWallSettings = RelayWallSettings()
+    middle_wall: MiddleWallSettings = MiddleWallSettings()
+    camera: CameraSettings = CameraSettings()
+    transient: TransientSettings = TransientSettings()
+    itof: ItofSettings = ItofSettings()
+
+    def __post_init__(self) -> None:
+        if self.hidden_object.composite_fraction > 0 and len(self.hidden_object.shapes) < 2:
+            raise ValueError(
+                "hidden_object.composite_fraction needs two different shapes to combine: "
+                "list a second shape or set it to 0"
+            )
+
+
+def preset_from_dict(data: dict[str, Any], origin: str) -> Preset:
+    """Check plain data against the contract; `origin` names the file in the error.
+
+    Raises
+    ------
+    PresetError : an unknown key, a wrong type or an impossible value, by name.
+    """
+    return checked(TypeAdapter(Preset), json.dumps(data, default=str), origin)
+
+
+def load_preset(name_or_file: str) -> Preset:
+    """Preset by name (``paper``, ``demo``, ... from data/presets) or from a TOML file.
+
+    Raises
+    ------
+    PresetError : no such preset, not TOML, or against the contract.
+    """
+    return preset_from_dict(*read_settings("presets", name_or_file))
+
+
+def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
+    """Contents and path of a TOML file, or of the one with that name in data/<kind>.
+
+    Raises
+    ------
+    PresetError : no such file, or not TOML.
+    """
+    named = {file.stem: file for file in sorted(_data_folder(kind).glob("*.toml"))}
+    file = named.get(name_or_file, Path(name_or_file))
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
+    except (FileNotFoundError, IsADirectoryError):
+        raise PresetError(
+            f"no preset {name_or_file}: give a .toml file or one of {', '.join(sorted(named))}"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise PresetError(f"{file} cannot be read as TOML: {error}") from None
+
+
+def _data_folder(kind: str) -> Path:
+    """Folder of named settings: the source tree's, else the installed one."""
+    source = Path(__file__).parent.parent / "data" / kind
+    return source if source.is_dir() else Path(sysconfig.get_path("data")) / "share" / "night" / kind
+
+
+def checked(adapter: TypeAdapter[Any], text: str | bytes, origin: str) -> Any:
+    """Parse JSON text strictly; the first thing wrong becomes one sentence that names it."""
+    try:
+        return adapter.validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            problem = f"unknown key {key}"
+        elif first["type"] == "missing":
+            problem = f"key {key} is missing"
+        else:
+            given = f" (got {first['input']!r})" if not isinstance(first["input"], dict) else ""
+            problem = f"{key}: {first['msg'].removeprefix('Value error, ')}{given}"
+        raise PresetError(f"{origin}: {problem}") from None

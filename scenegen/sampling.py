@@ -1,0 +1,194 @@
+"""Which scenes a dataset holds: each drawn from (dataset seed, scene index) alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from math import floor
+
+import numpy as np
+
+from scenegen.preset import Preset, Shape, Vector
+from scenegen.scene import COMPOSITE, Camera, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
+
+MAX_ATTEMPTS = 1000
+
+
+class SamplingError(ValueError):
+    """No sample of a scene fits behind the middle wall."""
+
+
+def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
+    """Draw scene `index`; `attempt` counts earlier draws that the geometry refused.
+
+    The random stream is seeded with (dataset seed, index, attempt), so a scene depends neither on how many
+    others are made nor on the order of work.
+    """
+    rng = np.random.default_rng([preset.dataset.seed, index, attempt])
+    object_class, split = class_and_split(preset, index)
+    first = _sample_first(preset, object_class, rng)
+    parts = [first]
+    if object_class == COMPOSITE:
+        parts.append(_sample_second(preset, first, rng))
+    roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
+    camera = preset.camera
+    wall = preset.relay_wall
+    return Scene(
+        index=index,
+        dataset_seed=preset.dataset.seed,
+        attempt=attempt,
+        seed=int(np.random.SeedSequence([preset.dataset.seed, index]).generate_state(1)[0]),
+        object_class=object_class,
+        split=split,
+        hidden_objects=tuple(parts),
+        relay_wall=RelayWall(
+            size_m=wall.size_m,
+            location_m=wall.location_m,
+            rotation_deg=wall.rotation_deg,
+            material=wall.material,
+            reflectance=wall.reflectance,
+            roughness=wall.roughness[roughness_index] if wall.material == "rough" else None,
+        ),
+        middle_wall=Wall(
+            size_m=preset.middle_wall.size_m,
+            location_m=preset.middle_wall.location_m,
+            rotation_deg=preset.middle_wall.rotation_deg,
+        ),
+        camera=Camera(
+            width=camera.width,
+            height=camera.height,
+            horizontal_fov_deg=camera.horizontal_fov_deg,
+            location_m=camera.location_m,
+            rotation_deg=camera.rotation_deg,
+        ),
+        emitter=Emitter(
+            horizontal_fov_deg=camera.horizontal_fov_deg,
+            location_m=camera.location_m,
+            rotation_deg=camera.rotation_deg,
+            irradiance=1.0,
+        ),
+        max_bounces=preset.transient.max_bounces,
+    )
+
+
+def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], str | None]) -> Scene:
+    """First draw of scene `index` that `refusal` (None, or why not) has nothing against.
+
+    Raises
+    ------
+    SamplingError : none of 1000 draws fits; the preset's ranges leave no room.
+    """
+    reason = ""
+    for attempt in range(MAX_ATTEMPTS):
+        scene = sample_scene(preset, index, attempt)
+        refused = refusal(scene)
+        if refused is None:
+            return scene
+        reason = refused
+    raise SamplingError(
+        f"scene {index}: none of {MAX_ATTEMPTS} draws fits the room (the last: {reason}); "
+        "widen hidden_object.location_m or make the object smaller"
+    )
+
+
+def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
+    """Object class and split of scene `index`, in exact proportion over any run of scenes from 0.
+
+    Composites are spread evenly; the other classes take turns. Within each class, its members are dealt
+    out to the splits evenly, each class starting at another point of the cycle, which makes the totals
+    exact too (Hermite's identity): 269 test, 215 validation, 860 training scenes of the paper's 1344.
+    """
+    settings = preset.dataset
+    fraction = preset.hidden_object.composite_fraction
+    shapes = preset.hidden_object.shapes
+    composites_before = _dealt(index, fraction, 0.5)
+    is_composite = _dealt(index + 1, fraction, 0.5) > composites_before
+    if is_composite:
+        class_index, member = len(shapes), composites_before
+    else:
+        member, class_index = divmod(index - composites_before, len(shapes))
+    start = (class_index + 0.5) / (len(shapes) + (fraction > 0))
+    object_class = COMPOSITE if is_composite else shapes[class_index]
+    return object_class, _split_of_member(member, start, settings.test_fraction, settings.validation_fraction)
+
+
+def leaks(scenes: Iterable[Scene]) -> list[str]:
+    """Test scenes that share an object location or orientation with another split, as sentences.
+
+    The paper's rule: no object of the train set appears in the test set at the same location or
+    orientation; a leak-free dataset gives an empty list.
+    """
+    scenes = list(scenes)
+    found = []
+    for name in ("location_m", "rotation_deg"):
+        seen: dict[Vector, str] = {}
+        for scene in scenes:
+            if scene.split != "test":
+                seen.update({getattr(part, name): scene.id for part in scene.hidden_objects})
+        found += [
+            f"test scene {scene.id} and scene {seen[getattr(part, name)]} share an object's {name}"
+            for scene in scenes
+            if scene.split == "test"
+            for part in scene.hidden_objects
+            if getattr(part, name) in seen
+        ]
+    return found
+
+
+def _split_of_member(member: int, start: float, test_fraction: float, validation_fraction: float) -> Split:
+    tests_before = _dealt(member, test_fraction, start)
+    if _dealt(member + 1, test_fraction, start) > tests_before:
+        return "test"
+    remaining = member - tests_before
+    # The second deal starts elsewhere in the cycle, so that no class comes short in both.
+    start = (start + 0.75) % 1
+    validations_before = _dealt(remaining, validation_fraction, start)
+    return "validation" if _dealt(remaining + 1, validation_fraction, start) > validations_before else "train"
+
+
+def _dealt(count: int, fraction: float, start: float) -> int:
+    """How many of the first `count` items an even dealer has picked out."""
+    # The margin keeps 0.2 * 5 = 1.0 on the right side of rounding.
+    return floor(count * fraction + start + 1e-9)
+
+
+def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -> HiddenObject:
+    settings = preset.hidden_object
+    shapes = settings.shapes
+    shape: Shape = (
+        shapes[int(rng.random() * len(shapes))]
+        if object_class == COMPOSITE
+        else next(s for s in shapes if s == object_class)
+    )
+    location, rotation = settings.location_m, settings.rotation_deg
+    return HiddenObject(
+        shape=shape,
+        size_m=settings.size_m.of(shape),
+        location_m=_uniform(rng, (location.x, location.y, location.z)),
+        rotation_deg=_uniform(rng, (rotation.x, rotation.y, rotation.z)),
+        reflectance=settings.reflectance,
+    )
+
+
+def _sample_second(preset: Preset, first: HiddenObject, rng: np.random.Generator) -> HiddenObject:
+    settings = preset.hidden_object
+    others = [shape for shape in settings.shapes if shape != first.shape]
+    shape = others[int(rng.random() * len(others))]
+    offset = _uniform(rng, (settings.composite_offset_m,) * 3)
+    turn = _uniform(rng, (settings.composite_rotation_deg,) * 3)
+    return HiddenObject(
+        shape=shape,
+        size_m=settings.size_m.of(shape),
+        location_m=_sum(first.location_m, offset),
+        rotation_deg=_sum(first.rotation_deg, turn),
+        reflectance=settings.reflectance,
+    )
+
+
+def _uniform(rng: np.random.Generator, ranges: Sequence[tuple[float, float]]) -> Vector:
+    # random() rather than uniform(): numpy keeps its stream the same between versions.
+    x, y, z = (low + (high - low) * float(rng.random()) for low, high in ranges)
+    return (x, y, z)
+
+
+def _sum(a: Vector, b: Vector) -> Vector:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

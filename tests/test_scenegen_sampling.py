@@ -1,0 +1,153 @@
+"""Presets and sampling: the contract of keys, the paper's counts, and independence of order and number."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from scenegen import (
+    Preset,
+    PresetError,
+    SamplingError,
+    leaks,
+    load_preset,
+    preset_from_dict,
+    sample_scene,
+    sample_valid_scene,
+    scene_from_json,
+    scene_to_json,
+)
+
+
+@pytest.fixture(scope="module")
+def paper_scenes(paper):
+    return [sample_scene(paper, index) for index in range(1344)]
+
+
+def test_every_key_defaults_to_the_papers_value(paper):
+    assert preset_from_dict({}, "empty") == paper == Preset()
+
+
+def test_the_paper_has_192_scenes_of_each_class_split_1075_to_269(paper_scenes):
+    assert set(Counter(scene.object_class for scene in paper_scenes).values()) == {192}
+    splits = Counter(scene.split for scene in paper_scenes)
+    assert splits == {"train": 860, "validation": 215, "test": 269}
+    tests = Counter(scene.object_class for scene in paper_scenes if scene.split == "test")
+    assert set(tests.values()) <= {38, 39}
+
+
+def test_no_test_object_shares_its_location_or_orientation_with_another_split(paper_scenes):
+    assert leaks(paper_scenes) == []
+
+
+def test_a_leak_is_found():
+    preset = preset_from_dict(
+        {
+            "dataset": {"count": 14},
+            "hidden_object": {"location_m": {"x": [1, 1], "y": [1, 1], "z": [1.5, 1.5]}},
+        },
+        "fixed place",
+    )
+    found = leaks(sample_scene(preset, index) for index in range(14))
+    assert found
+    assert "location_m" in found[0]
+
+
+def test_a_scene_is_the_same_whether_20_or_20000_are_made():
+    few = preset_from_dict({"dataset": {"count": 20}}, "few")
+    many = preset_from_dict({"dataset": {"count": 20_000}}, "many")
+    assert [sample_scene(few, i) for i in range(20)] == [sample_scene(many, i) for i in range(20)]
+
+
+def test_seed_zero_is_a_seed_and_other_seeds_give_other_scenes():
+    zero, one = (preset_from_dict({"dataset": {"seed": seed}}, "seeds") for seed in (0, 1))
+    places = {sample_scene(preset, 17).hidden_objects[0].location_m for preset in (zero, one)}
+    assert len(places) == 2
+    assert sample_scene(zero, 17) == sample_scene(zero, 17)
+
+
+def test_samples_fill_the_ranges_of_the_paper(paper_scenes):
+    first = [scene.hidden_objects[0] for scene in paper_scenes]
+    for values, (low, high) in [
+        ([part.location_m[0] for part in first], (1.0, 1.3)),
+        ([part.location_m[1] for part in first], (0.5, 1.3)),
+        ([part.location_m[2] for part in first], (1.25, 1.95)),
+        ([part.rotation_deg[1] for part in first], (-90.0, 90.0)),
+    ]:
+        assert low <= min(values) < low + 0.01 * (high - low)
+        assert high - 0.01 * (high - low) < max(values) <= high
+        # The mean of 1344 uniform values has the standard deviation (high - low) / sqrt(12 * 1344).
+        assert np.mean(values) == pytest.approx((low + high) / 2, abs=5 * (high - low) / np.sqrt(12 * 1344))
+    roughness = Counter(scene.relay_wall.roughness for scene in paper_scenes)
+    assert sorted(roughness) == [round(0.30 + 0.05 * step, 2) for step in range(15)]
+
+
+def test_composites_join_two_different_shapes_within_their_ranges(paper_scenes):
+    pairs = [scene.hidden_objects for scene in paper_scenes if scene.object_class == "composite"]
+    offsets = np.array([np.subtract(b.location_m, a.location_m) for a, b in pairs])
+    turns = np.array([np.subtract(b.rotation_deg, a.rotation_deg) for a, b in pairs])
+    assert all(a.shape != b.shape for a, b in pairs)
+    assert offsets.min() >= -0.12 - 1e-12
+    assert offsets.max() <= 0.15 + 1e-12
+    assert np.abs(turns).max() <= 45 + 1e-9
+
+
+def test_a_diffuse_wall_has_no_roughness():
+    preset = preset_from_dict({"relay_wall": {"material": "diffuse"}}, "diffuse")
+    assert sample_scene(preset, 0).relay_wall.roughness is None
+
+
+def test_scene_json_round_trips(paper_scenes):
+    for scene in paper_scenes[:20]:
+        assert scene_from_json(scene_to_json(scene), "here") == scene
+
+
+def test_a_refused_sample_is_replaced_by_the_next_of_its_own_stream(paper):
+    refused = sample_scene(paper, 4)
+    kept = sample_valid_scene(paper, 4, lambda scene: "no" if scene == refused else None)
+    assert kept == sample_scene(paper, 4, attempt=1)
+    assert kept.hidden_objects != refused.hidden_objects
+    assert (kept.object_class, kept.split, kept.seed) == (refused.object_class, refused.split, refused.seed)
+
+
+def test_a_preset_without_room_is_refused_by_reason(paper):
+    with pytest.raises(SamplingError, match=r"scene 4: none of 1000 draws fits the room .* too big"):
+        sample_valid_scene(paper, 4, lambda scene: "too big")
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"dataset": {"cuont": 5}}, "unknown key dataset.cuont"),
+        ({"lens": {}}, "unknown key lens"),
+        ({"hidden_object": {"location_m": {"w": [0, 1]}}}, "unknown key hidden_object.location_m.w"),
+        ({"camera": {"width": 3.5}}, "camera.width"),
+        ({"camera": {"width": "320"}}, "camera.width"),
+        ({"camera": 3}, "camera"),
+        ({"dataset": {"count": 0}}, "dataset.count"),
+        ({"dataset": {"test_fraction": 1.5}}, "dataset.test_fraction"),
+        ({"hidden_object": {"location_m": {"x": [2, 1]}}}, "hidden_object.location_m.x: range .* is empty"),
+        ({"hidden_object": {"location_m": {"x": [1]}}}, "hidden_object.location_m.x"),
+        ({"hidden_object": {"shapes": ["teapot"]}}, "hidden_object.shapes.*teapot"),
+        ({"hidden_object": {"shapes": ["cube"]}}, "two different shapes"),
+        ({"hidden_object": {"shapes": ["cube", "cube"]}}, "twice"),
+        ({"relay_wall": {"material": "velvet"}}, "relay_wall.material"),
+        ({"relay_wall": {"roughness": [0.0]}}, "relay_wall.roughness"),
+        ({"transient": {"bin_width_m": float("nan")}}, "transient.bin_width_m"),
+        ({"itof": {"frequencies_hz": [50e6, 20e6]}}, "ascend"),
+    ],
+)
+def test_a_preset_against_the_contract_is_refused_by_name(data, words):
+    with pytest.raises(PresetError, match=words):
+        preset_from_dict(data, "my.toml")
+
+
+def test_a_missing_preset_names_those_there_are():
+    with pytest.raises(PresetError, match=r"no preset nowhere.*demo.*paper"):
+        load_preset("nowhere")
+
+
+def test_a_file_that_is_no_toml_is_refused(tmp_path):
+    (tmp_path / "bad.toml").write_text("[dataset\ncount = 3")
+    with pytest.raises(PresetError, match="cannot be read as TOML"):
+        load_preset(str(tmp_path / "bad.toml"))
