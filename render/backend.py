@@ -1,0 +1,64 @@
+"""Which device renders: the Mitsuba variant, and LLVM checked before it can abort the process."""
+
+from __future__ import annotations
+
+import logging
+import os
+from typing import Literal
+
+from scenegen import silenced
+
+Device = Literal["auto", "cpu", "cuda"]
+
+# DrJit 1.5 aborts with LLVM 14 to 16 ("Cannot select: fminimum"); 19 is what we know to work (DESIGN 4.7).
+MINIMUM_LLVM = 19
+INSTALL_LLVM = f"install LLVM {MINIMUM_LLVM} (Debian: apt install libllvm{MINIMUM_LLVM})"
+
+STDERR = 2
+
+log = logging.getLogger(__name__)
+
+
+class BackendError(RuntimeError):
+    """The device that was asked for cannot render here."""
+
+
+def select_variant(device: Device = "auto") -> str:
+    """Set the Mitsuba variant for `device` and return its name.
+
+    ``auto`` takes CUDA where there is a GPU and LLVM on the CPU otherwise. The abort of an old LLVM cannot
+    be caught, so its version is read before the first kernel is compiled.
+
+    Raises
+    ------
+    BackendError : no such device here, or LLVM is missing or too old; says what to install.
+    """
+    with silenced(STDERR):  # the sentences below replace DrJit's own lines
+        import drjit as dr
+
+        has_cuda = device != "cpu" and bool(dr.has_backend(dr.JitBackend.CUDA))
+        has_llvm = bool(dr.has_backend(dr.JitBackend.LLVM))
+    if device == "cuda" and not has_cuda:
+        raise BackendError("--device cuda: DrJit finds no CUDA GPU here; use --device cpu")
+    if not has_cuda:
+        _check_llvm(dr.detail.llvm_version() if has_llvm else None)
+
+    import mitsuba as mi
+
+    variant = "cuda_ad_mono" if has_cuda else "llvm_ad_mono"
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+    log.info("rendering with Mitsuba %s, variant %s", mi.__version__, variant)
+    return variant
+
+
+def _check_llvm(version: tuple[int, ...] | None) -> None:
+    forced = os.environ.get("DRJIT_LIBLLVM_PATH")
+    where = f" at DRJIT_LIBLLVM_PATH={forced}" if forced else ""
+    if version is None:
+        raise BackendError(
+            f"rendering on the CPU needs the LLVM library, and there is none{where}: {INSTALL_LLVM}"
+        )
+    if version[0] < MINIMUM_LLVM:
+        found = ".".join(str(part) for part in version)
+        raise BackendError(f"LLVM {found}{where} is too old for DrJit and would abort it: {INSTALL_LLVM}")
