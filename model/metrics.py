@@ -1,0 +1,125 @@
+"""How good a predicted depth map is: errors and overlaps of one image, and their statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class ImageMetrics:
+    """Metrics of one image. Depth is radial (along the ray), and 0 on background.
+
+    Attributes
+    ----------
+    depth_mae_m : mean |error| over *all* pixels, metres.
+    object_mae_m : mean |error| where both prediction and truth show the object, metres; None where no
+        pixel does.
+    object_iou, background_iou : intersection over union of the masks; two empty masks agree (1).
+    """
+
+    depth_mae_m: float
+    object_mae_m: float | None
+    object_iou: float
+    background_iou: float
+
+    @property
+    def miou(self) -> float:
+        """Mean of object IoU and background IoU."""
+        return (self.object_iou + self.background_iou) / 2  # the mean of two, not a path length
+
+    @property
+    def accuracy(self) -> float:
+        """The paper's accuracy: mean of (1 - MAE in metres) and mIoU."""
+        return (1 - self.depth_mae_m + self.miou) / 2  # the mean of two, not a path length
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Average, standard deviation (of the population), smallest, largest, and of how many values."""
+
+    mean: float
+    std: float
+    min: float
+    max: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Statistics over images; `object_mae_m` counts only images where it is defined, None where none is."""
+
+    depth_mae_m: Statistics
+    object_mae_m: Statistics | None
+    object_iou: Statistics
+    miou: Statistics
+    accuracy: Statistics
+
+
+def image_metrics(
+    radial_depth_pred_m: ArrayLike, mask_pred: ArrayLike, radial_depth_gt_m: ArrayLike, mask_gt: ArrayLike
+) -> ImageMetrics:
+    """Metrics of one (H, W) prediction against its truth; depths in metres, 0 on background.
+
+    Raises
+    ------
+    ValueError : images of different sizes, or a depth that is not finite.
+
+    Source: Caligiuri et al. 2024, sec. 5.2.
+    """
+    depth_pred, depth_gt = (np.asarray(d, dtype=np.float64) for d in (radial_depth_pred_m, radial_depth_gt_m))
+    pred, truth = (np.asarray(m).astype(bool) for m in (mask_pred, mask_gt))
+    shapes = {depth_pred.shape, depth_gt.shape, pred.shape, truth.shape}
+    if len(shapes) != 1 or len(depth_gt.shape) != 2:
+        raise ValueError(f"prediction and truth must be images of one size, got shapes {sorted(shapes)}")
+    error = np.abs(depth_pred - depth_gt)  # (H, W)
+    if not np.isfinite(error).all():
+        raise ValueError("a depth map holds NaN or infinite values")
+    both = pred & truth
+    return ImageMetrics(
+        depth_mae_m=float(error.mean()),
+        object_mae_m=float(error[both].mean()) if both.any() else None,
+        object_iou=_iou(pred, truth),
+        background_iou=_iou(~pred, ~truth),
+    )
+
+
+def no_object_metrics(radial_depth_gt_m: ArrayLike, mask_gt: ArrayLike) -> ImageMetrics:
+    """The baseline: metrics of predicting "no object" everywhere."""
+    truth = np.asarray(radial_depth_gt_m)
+    return image_metrics(np.zeros(truth.shape), np.zeros(truth.shape, bool), truth, mask_gt)
+
+
+def summarise(metrics: Sequence[ImageMetrics]) -> Summary:
+    """Statistics over images.
+
+    Raises
+    ------
+    ValueError : no images.
+    """
+    if not metrics:
+        raise ValueError("there are no images to summarise")
+    values = {
+        field.name: [v for m in metrics if (v := getattr(m, field.name)) is not None]
+        for field in fields(Summary)
+    }
+    return Summary(
+        depth_mae_m=_statistics(values["depth_mae_m"]),
+        object_mae_m=_statistics(values["object_mae_m"]) if values["object_mae_m"] else None,
+        object_iou=_statistics(values["object_iou"]),
+        miou=_statistics(values["miou"]),
+        accuracy=_statistics(values["accuracy"]),
+    )
+
+
+def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    union = np.count_nonzero(a | b)
+    return np.count_nonzero(a & b) / union if union else 1.0
+
+
+def _statistics(values: Sequence[float]) -> Statistics:
+    x = np.asarray(values, dtype=np.float64)
+    return Statistics(float(x.mean()), float(x.std()), float(x.min()), float(x.max()), len(x))

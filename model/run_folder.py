@@ -1,0 +1,201 @@
+"""The run folder: a contract between training and everything that uses a trained network.
+
+``run.json`` (what was trained, on what, how), ``best.safetensors`` (weights of the best validation loss),
+``checkpoint.pt`` (everything needed to go on, loadable with ``weights_only=True``), ``history.csv`` (one
+line an epoch) and ``log/`` (TensorBoard).
+"""
+
+from __future__ import annotations
+
+import csv
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import torch
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from model.inputs import InputSpec
+from model.readout import Readout
+from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
+from model.unet import UNet
+from scenegen import PresetError, whole_file, write_text
+from scenegen.preset import STRICT, WholeCount, checked
+
+RUN_SCHEMA: Final = 1
+
+
+class RunError(ValueError):
+    """A run folder that is missing, foreign, damaged, of another schema, or in the way."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class RunConfig:
+    """Contents of ``run.json``.
+
+    Attributes
+    ----------
+    settings : as asked for.
+    inputs : network channels and their constants, fitted on the training scenes.
+    image_width, image_height : of the images trained on, pixels.
+    preset_sha256, data_sha256 : which preset, and which scenes and renders it was trained on.
+    night_version : of the program that trained it.
+    """
+
+    settings: TrainSettings
+    inputs: InputSpec
+    image_width: WholeCount
+    image_height: WholeCount
+    preset_sha256: str
+    data_sha256: str
+    night_version: str
+    schema_version: Literal[1] = RUN_SCHEMA
+
+    @property
+    def readout(self) -> Readout:
+        """How the network's output is read."""
+        settings = self.settings
+        return Readout(self.inputs.frequencies_hz[0], settings.mask_threshold, settings.dead_zone)
+
+    def network(self, generator: torch.Generator | None = None) -> UNet:
+        """An untrained network of this run's architecture."""
+        return UNet(self.inputs.channel_count, self.settings.width, generator=generator)
+
+
+@plain_dataclass(frozen=True)
+class EpochRecord:
+    """One line of ``history.csv``: losses, and validation metrics of radial depth."""
+
+    epoch: int
+    train_loss: float
+    validation_loss: float
+    validation_mae_cm: float
+    validation_miou: float
+
+
+def write_config(folder: Path, config: RunConfig) -> None:
+    """Write ``run.json``."""
+    write_text(folder / "run.json", TypeAdapter(RunConfig).dump_json(config, indent=2).decode() + "\n")
+
+
+def read_config(folder: Path) -> RunConfig:
+    """Read ``run.json``.
+
+    Raises
+    ------
+    RunError : no such folder, not a run, of another schema, or against the contract.
+    """
+    file = folder / "run.json"
+    if not folder.is_dir():
+        raise RunError(f"there is no folder {folder}: train a network with night-train")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RunError(
+            f"{folder} is no training run (it has no run.json): train one with night-train"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{file} cannot be read: {error}") from None
+    try:
+        schema = TypeAdapter(dict[str, Any]).validate_json(text).get("schema_version")
+    except ValidationError:
+        raise RunError(f"{file} is not the JSON of a run: train again") from None
+    if schema != RUN_SCHEMA:
+        raise RunError(
+            f"{file} has schema version {schema}, this program reads version {RUN_SCHEMA}: "
+            "train again, or use the version of NIGHT that made it"
+        )
+    try:
+        config: RunConfig = checked(TypeAdapter(RunConfig), text, str(file))
+    except PresetError as error:
+        raise RunError(str(error)) from None
+    return config
+
+
+def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
+    """What keeps a run from being resumed under `now`, as a sentence; None when nothing does."""
+    for field in fields(TrainSettings):
+        old, new = getattr(before.settings, field.name), getattr(now.settings, field.name)
+        if field.name not in MAY_CHANGE_ON_RESUME and old != new:
+            return f"{field.name} was {old} and is now {new}"
+    if before.data_sha256 != now.data_sha256:
+        return "the dataset is not the one the run began with"
+    return None
+
+
+def save_weights(folder: Path, network: UNet) -> None:
+    """Write ``best.safetensors``."""
+    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    with whole_file(folder / "best.safetensors") as partial:
+        save_file(weights, partial)
+
+
+def load_weights(folder: Path, network: UNet) -> None:
+    """Fill `network` from ``best.safetensors``.
+
+    Raises
+    ------
+    RunError : no weights, a damaged file, or weights of another architecture.
+    """
+    file = folder / "best.safetensors"
+    if not file.is_file():
+        raise RunError(f"{folder} has no best.safetensors: no epoch was finished yet, go on with night-train")
+    try:
+        weights = load_file(file)
+    except (SafetensorError, OSError) as error:
+        raise RunError(f"{file} is damaged or no safetensors file ({error}): train again") from None
+    fill(network, weights, file)
+
+
+def fill(network: UNet, weights: Mapping[str, Tensor], file: Path) -> None:
+    """Put `weights` into `network`; `RunError` when they belong to another architecture."""
+    expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    found = {name: tuple(tensor.shape) for name, tensor in weights.items()}
+    if found != expected:
+        name = min(name for name in {*expected, *found} if expected.get(name) != found.get(name))
+        raise RunError(
+            f"{file} holds weights of another architecture than run.json describes: {name} is "
+            f"{found.get(name, 'missing')}, expected {expected.get(name, 'no such weight')}"
+        )
+    network.load_state_dict(dict(weights))
+
+
+def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
+    """Write ``checkpoint.pt``: tensors, numbers and text only."""
+    with whole_file(folder / "checkpoint.pt") as partial:
+        torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
+
+
+def load_checkpoint(folder: Path, device: torch.device) -> dict[str, Any] | None:
+    """Read ``checkpoint.pt``; None when no epoch was finished yet.
+
+    Raises
+    ------
+    RunError : a damaged or foreign file.
+    """
+    file = folder / "checkpoint.pt"
+    if not file.is_file():
+        return None
+    try:
+        state = torch.load(file, map_location=device, weights_only=True)
+    except (RuntimeError, OSError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
+        raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
+    if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:
+        raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: train again from the start")
+    return state
+
+
+def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
+    """Write ``history.csv``."""
+    names = [field.name for field in fields(EpochRecord)]
+    with whole_file(folder / "history.csv") as partial, partial.open("w", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(names)
+        table.writerows([getattr(record, name) for name in names] for record in history)

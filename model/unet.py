@@ -1,0 +1,114 @@
+"""The network: a U-Net of image channels to the phasor of the mirrored scene."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+LEVELS = 5  # encoder levels; four halvings, so sizes are padded to multiples of 16
+OUTPUT_CHANNELS = 2  # Re and Im at the first frequency
+HEAD_CHANNELS = (16, 8, 4, OUTPUT_CHANNELS)
+
+
+class UNet(nn.Module):
+    """U-Net of the paper: any number of input channels, any image size.
+
+    Encoder of widths w, 2w, 4w, 8w, 16w (w = 32 in the paper): two 3x3 convolutions with ReLU each, then a
+    2x2 max-pool. Decoder: a 2x2 transposed convolution, the skip from the encoder, two 3x3 convolutions
+    with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions 16-8-4-2, ReLU between all of
+    them and none after the last: Re and Im have both signs.
+
+    An image size that 16 does not divide is padded to the next multiple, evenly on both sides so that
+    flips stay flips, by repeating the edge (zeros would be a false edge in a smooth field), and the output
+    is cropped back.
+
+    Weights start as He's normal initialisation with zero biases: without normalisation layers, PyTorch's
+    default loses a factor of about 2.4 in scale at each of 22 layers and the output starts as a constant.
+
+    Parameters
+    ----------
+    input_channels : C, at least 1.
+    width : channels of the first level, at least 1; 32 gives 7,763,270 parameters with 7 input channels.
+    generator : source of the initial weights; the global one when None.
+
+    Source: Caligiuri et al. 2024, sec. 4.2; He et al., "Delving deep into rectifiers", ICCV 2015.
+    """
+
+    def __init__(
+        self, input_channels: int, width: int = 32, *, generator: torch.Generator | None = None
+    ) -> None:
+        super().__init__()
+        if input_channels < 1 or width < 1:
+            raise ValueError(
+                f"a U-Net needs at least one channel, got {input_channels} in and a width of {width}"
+            )
+        widths = [width * 2**level for level in range(LEVELS)]
+        self.encoder = nn.ModuleList(
+            _two_convolutions(before, after) for before, after in pairwise([input_channels, *widths])
+        )
+        deepest_first = widths[::-1]
+        self.upsampling = nn.ModuleList(
+            nn.ConvTranspose2d(deep, shallow, kernel_size=2, stride=2)
+            for deep, shallow in pairwise(deepest_first)
+        )
+        self.decoder = nn.ModuleList(
+            _two_convolutions(2 * shallow, shallow)  # upsampled and skip side by side
+            for shallow in deepest_first[1:]
+        )
+        head: list[nn.Module] = [nn.Conv2d(width, HEAD_CHANNELS[0], kernel_size=1)]
+        for before, after in pairwise(HEAD_CHANNELS):
+            head += [nn.ReLU(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
+        self.head = nn.Sequential(*head)
+        self._initialise(generator)
+
+    def forward(self, channels: Tensor) -> Tensor:
+        """(N, C, H, W) network channels to (N, 2, H, W): Re and Im of the mirrored scene."""
+        height, width = channels.shape[-2:]
+        left, right, top, bottom = (*_padding(width), *_padding(height))
+        x = functional.pad(channels, (left, right, top, bottom), mode="replicate")
+        skips = []
+        for level, block in enumerate(self.encoder):
+            x = block(x if level == 0 else functional.max_pool2d(x, 2))
+            skips.append(x)
+        skips.pop()  # the deepest level is x itself
+        for upsample, block in zip(self.upsampling, self.decoder, strict=True):
+            x = block(torch.cat([skips.pop(), upsample(x)], dim=1))
+        output: Tensor = self.head(x)
+        return output[..., top : top + height, left : left + width]
+
+    @property
+    def parameter_count(self) -> int:
+        """Number of weights and biases."""
+        return sum(parameter.numel() for parameter in self.parameters())
+
+    def _initialise(self, generator: torch.Generator | None) -> None:
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+                # Each output of a transposed convolution with stride 2 sees one weight per input channel.
+                fan_in = module.in_channels * (
+                    1 if isinstance(module, nn.ConvTranspose2d) else module.kernel_size[0] ** 2
+                )
+                is_linear = isinstance(module, nn.ConvTranspose2d) or module is self.head[-1]
+                gain = 1.0 if is_linear else 2.0  # ReLU halves the power, He et al. eq. 10
+                nn.init.normal_(module.weight, std=(gain / fan_in) ** 0.5, generator=generator)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+
+
+def _two_convolutions(before: int, after: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(before, after, kernel_size=3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(after, after, kernel_size=3, padding=1),
+        nn.ReLU(),
+    )
+
+
+def _padding(size: int) -> tuple[int, int]:
+    """Pixels to add before and after, so that the deepest level divides evenly."""
+    missing = -size % 2 ** (LEVELS - 1)
+    before = missing // 2  # half on each side, not a path length
+    return before, missing - before

@@ -1,0 +1,336 @@
+"""Training and evaluation on closed-form scenes: exact resuming, refusals, and the whole way to a report."""
+
+import csv
+import json
+import logging
+import shutil
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from safetensors.torch import load_file, save_file
+from synthetic_dataset import write_synthetic_dataset
+
+from itof import pixel_rays
+from model import (
+    DeviceError,
+    EvaluationError,
+    RunError,
+    TrainingError,
+    TrainSettings,
+    choose_device,
+    evaluate,
+    load_run,
+    open_shards,
+    train,
+)
+
+QUICK = {
+    "width": 2,
+    "batch_size": 3,
+    "max_epochs": 2,
+    "learning_rate": 1e-3,
+    "progress": False,
+    "device": "cpu",
+    "augmentations": "paper",
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    """Images this small are slower on several threads, and much slower beside other work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_synthetic_dataset(tmp_path_factory.mktemp("dataset"), count=12)
+
+
+@pytest.fixture(scope="module")
+def finished_run(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train(dataset, folder, TrainSettings(**QUICK))
+    return folder
+
+
+@pytest.fixture
+def run(finished_run, tmp_path):
+    """A copy of a finished run, to be spoilt."""
+    shutil.copytree(finished_run, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def settings(**changes) -> TrainSettings:
+    return TrainSettings(**(QUICK | changes))
+
+
+def edit_config(run, **changes) -> None:
+    config = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(config | changes))
+
+
+def test_a_resumed_run_ends_with_the_weights_of_an_uninterrupted_one(dataset, finished_run, run, tmp_path):
+    whole = train(dataset, tmp_path / "whole", settings(max_epochs=4))
+    resumed = train(dataset, run, settings(max_epochs=4), resume=True)
+    assert resumed == whole
+    assert (run / "history.csv").read_text() == (tmp_path / "whole" / "history.csv").read_text()
+    assert (run / "best.safetensors").read_bytes() == (tmp_path / "whole" / "best.safetensors").read_bytes()
+    ends = [torch.load(f / "checkpoint.pt", weights_only=True) for f in (run, tmp_path / "whole")]
+    for name, weight in ends[0]["network"].items():
+        assert torch.equal(weight, ends[1]["network"][name]), name
+    short = torch.load(finished_run / "checkpoint.pt", weights_only=True)["network"]
+    assert any(not torch.equal(weight, short[name]) for name, weight in ends[0]["network"].items())
+
+
+def test_an_interrupted_epoch_is_begun_again(dataset, tmp_path):
+    whole = train(dataset, tmp_path / "whole", settings())
+    run, killed = tmp_path / "run", False
+
+    def interrupt(*_: object) -> None:
+        nonlocal killed
+        if (run / "checkpoint.pt").exists() and not killed:
+            killed = True
+            raise KeyboardInterrupt
+
+    handle = torch.nn.modules.module.register_module_forward_pre_hook(interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            train(dataset, run, settings())
+    finally:
+        handle.remove()
+    assert killed
+    assert train(dataset, run, settings(), resume=True) == whole
+    assert (run / "best.safetensors").read_bytes() == (tmp_path / "whole" / "best.safetensors").read_bytes()
+
+
+def test_the_seed_decides_the_weights(dataset, finished_run, tmp_path):
+    train(dataset, tmp_path / "same", settings())
+    train(dataset, tmp_path / "other", settings(seed=1))
+    weights = (finished_run / "best.safetensors").read_bytes()
+    assert (tmp_path / "same" / "best.safetensors").read_bytes() == weights
+    assert (tmp_path / "other" / "best.safetensors").read_bytes() != weights
+
+
+def test_resuming_a_finished_run_does_nothing_and_says_so(dataset, run, caplog):
+    before = (run / "checkpoint.pt").read_bytes()
+    caplog.set_level(logging.INFO)
+    assert train(dataset, run, settings(), resume=True).epochs == 2
+    assert "finished already, after 2 epochs" in caplog.text
+    assert (run / "checkpoint.pt").read_bytes() == before
+
+
+def test_training_stops_when_patience_runs_out(dataset, tmp_path):
+    # Steps of 1e-12 change no loss in float32, so the first epoch stays the best.
+    result = train(
+        dataset, tmp_path / "run", settings(max_epochs=9, patience=2, learning_rate=1e-12, noise_sigma=0.0)
+    )
+    assert result.ended_by == "patience"
+    assert result.epochs == result.best_epoch + 2
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [({"seed": 5}, "seed was 0 and is now 5"), ({"width": 3}, "width"), ({"channels": "paper"}, "channels")],
+)
+def test_resuming_with_other_settings_is_refused_by_name(dataset, run, change, named):
+    with pytest.raises(RunError, match=f"cannot be resumed: {named}"):
+        train(dataset, run, settings(**change), resume=True)
+
+
+def test_resuming_on_another_dataset_is_refused(run, tmp_path):
+    other = write_synthetic_dataset(tmp_path / "other", count=8)
+    with pytest.raises(RunError, match="dataset is not the one"):
+        train(other, run, settings(), resume=True)
+
+
+def test_a_folder_in_use_is_not_overwritten(dataset, run, tmp_path):
+    with pytest.raises(RunError, match=r"exists already: resume it \(--resume\)"):
+        train(dataset, run, settings())
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "thesis.txt").write_text("years of work")
+    with pytest.raises(RunError, match="it is not empty"):
+        train(dataset, tmp_path / "notes", settings())
+    with pytest.raises(RunError, match="is no training run"):
+        train(dataset, tmp_path / "notes", settings(), resume=True)
+    assert (tmp_path / "notes" / "thesis.txt").read_text() == "years of work"
+
+
+def test_a_dataset_without_validation_scenes_cannot_be_trained_on(tmp_path):
+    tables = {"count": 3, "test_fraction": 0.0, "validation_fraction": 0.0}
+    dataset = write_synthetic_dataset(tmp_path / "data", count=3, dataset=tables)
+    with pytest.raises(TrainingError, match="has no validation scenes"):
+        train(dataset, tmp_path / "run", settings())
+
+
+def test_a_loss_that_is_no_number_names_epoch_and_scenes(dataset, tmp_path):
+    # A learning rate of 1e30 throws the weights so far that float32 overflows in the next step.
+    with pytest.raises(TrainingError, match=r"loss became (nan|inf) in epoch \d+, on scenes 0000"):
+        train(dataset, tmp_path / "run", settings(learning_rate=1e30))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without CUDA")
+def test_asking_for_cuda_where_there_is_none_is_refused(dataset, tmp_path):
+    with pytest.raises(DeviceError, match="no CUDA device"):
+        train(dataset, tmp_path / "run", settings(device="cuda"))
+    assert choose_device("auto").type == "cpu"
+
+
+def test_a_run_folder_holds_what_it_promises(dataset, finished_run):
+    config = json.loads((finished_run / "run.json").read_text())
+    assert config["schema_version"] == 1
+    assert config["settings"]["batch_size"] == 3
+    assert config["inputs"]["frequencies_hz"] == [20e6, 50e6, 60e6]
+    with (finished_run / "history.csv").open() as stream:
+        lines = list(csv.DictReader(stream))
+    assert [line["epoch"] for line in lines] == ["1", "2"]
+    assert all(float(line["validation_mae_cm"]) > 0 for line in lines)
+    assert list((finished_run / "log").glob("events.out.tfevents.*"))
+    assert not list(finished_run.glob(".*.partial"))
+
+
+def test_predictions_of_one_image_and_of_many_agree(dataset, finished_run):
+    shards = open_shards(dataset)
+    predictor = load_run(finished_run, "cpu")
+    phasor = shards.complex_phasors([0, 1, 2])
+    many, one = predictor.predict(phasor, shards.reference), predictor.predict(phasor[1], shards.reference)
+    assert many.radial_depth_m.shape == phasor.shape[:3]
+    np.testing.assert_allclose(many.phasor[1], one.phasor, atol=1e-5)
+    assert np.count_nonzero(many.radial_depth_m[~many.mask]) == 0
+    with pytest.raises(ValueError, match="NaN"):
+        predictor.predict(phasor * np.nan, shards.reference)
+    with pytest.raises(ValueError, match="expected phasors of shape"):
+        predictor.predict(phasor[0, 0], shards.reference)
+
+
+def test_unusable_runs_are_refused_in_one_sentence(run, tmp_path):
+    with pytest.raises(RunError, match="there is no folder"):
+        load_run(tmp_path / "nowhere")
+    (tmp_path / "foreign").mkdir()
+    with pytest.raises(RunError, match="is no training run"):
+        load_run(tmp_path / "foreign")
+
+    weights = (run / "best.safetensors").read_bytes()
+    (run / "best.safetensors").write_bytes(weights[: len(weights) // 2])
+    with pytest.raises(RunError, match=r"best.safetensors is damaged"):
+        load_run(run)
+    (run / "best.safetensors").unlink()
+    with pytest.raises(RunError, match=r"has no best.safetensors"):
+        load_run(run)
+
+    config = json.loads((run / "run.json").read_text())
+    edit_config(run, schema_version=2)
+    with pytest.raises(RunError, match="schema version 2, this program reads version 1"):
+        load_run(run)
+    edit_config(run, schema_version=1, settings=config["settings"] | {"widht": 3})
+    with pytest.raises(RunError, match=r"unknown key settings.widht"):
+        load_run(run)
+    (run / "run.json").write_text("[1, 2")
+    with pytest.raises(RunError, match="is not the JSON of a run"):
+        load_run(run)
+
+
+def test_weights_of_another_architecture_are_refused(dataset, run):
+    config = json.loads((run / "run.json").read_text())
+    edit_config(run, settings=config["settings"] | {"width": 3})
+    with pytest.raises(RunError, match="weights of another architecture"):
+        load_run(run)
+    with pytest.raises(RunError, match="weights of another architecture"):
+        train(dataset, run, settings(width=3), resume=True)
+
+
+def test_a_damaged_checkpoint_cannot_be_resumed(dataset, run):
+    content = (run / "checkpoint.pt").read_bytes()
+    for spoilt in (content[:1000], b"", b"no checkpoint"):
+        (run / "checkpoint.pt").write_bytes(spoilt)
+        with pytest.raises(RunError, match=r"checkpoint.pt is damaged or no checkpoint"):
+            train(dataset, run, settings(), resume=True)
+    torch.save([1, 2], run / "checkpoint.pt")
+    with pytest.raises(RunError, match=r"is no checkpoint of schema version 1"):
+        train(dataset, run, settings(), resume=True)
+
+
+def test_training_and_evaluation_end_to_end_beat_no_object(tmp_path):
+    dataset = write_synthetic_dataset(tmp_path / "data", count=48)
+    learning = {"width": 6, "batch_size": 4, "max_epochs": 3, "learning_rate": 2e-3, "augmentations": "flip"}
+    result = train(dataset, tmp_path / "run", settings(**learning))
+    assert result.epochs == 3
+    report = evaluate(tmp_path / "run", dataset, tmp_path / "report", device="cpu", progress=False)
+    assert len(report.scenes) == len(dataset.ids("test"))
+    # Three epochs do not make good depth, but the overlap must be clearly better than that of nothing at all.
+    assert report.prediction.miou.mean > report.no_object.miou.mean + 0.05
+
+    written = json.loads((tmp_path / "report" / "metrics.json").read_text())
+    assert written["prediction"]["miou"]["mean"] == report.prediction.miou.mean
+    assert written["paper"]["depth_mae_m"]["mean"] == 0.0521
+    assert [scene["scene"] for scene in written["scenes"]] == dataset.ids("test")
+    assert {f.name for f in (tmp_path / "report" / "figures").iterdir()} == {
+        *("best.png", "median.png", "worst.png", "accuracy_histogram.png")
+    }
+    assert "no object" in report.table
+    assert (tmp_path / "report" / "table.txt").read_text() == report.table + "\n"
+
+
+def test_point_clouds_of_the_truth_lie_at_its_depth_on_the_pixels_rays(dataset, finished_run, tmp_path):
+    evaluate(finished_run, dataset, tmp_path / "report", split="validation", device="cpu", progress=False)
+    shards = open_shards(dataset)
+    row = shards.rows("validation")[0]
+    cloud = trimesh.load(tmp_path / "report" / "pointclouds" / f"{shards.ids([row])[0]}_gt.ply")
+    mask = shards.mask[row] > 0
+    height, width = mask.shape
+    rays = pixel_rays(width, height, dataset.preset.camera.horizontal_fov_deg)
+    expected = (rays * shards.radial_depth_m[row][..., None])[mask]
+    np.testing.assert_allclose(cloud.vertices, expected, rtol=1e-6, atol=1e-6)
+    # An evaluation elsewhere leaves nothing of the old one behind.
+    evaluate(finished_run, dataset, tmp_path / "report", split="test", device="cpu", progress=False)
+    names = {file.name.split("_")[0] for file in (tmp_path / "report" / "pointclouds").iterdir()}
+    assert names == set(dataset.ids("test"))
+
+
+def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(dataset, run, tmp_path):
+    weights = load_file(run / "best.safetensors")
+    last = max(name for name in weights if name.startswith("head."))
+    weights |= {name: torch.zeros_like(w) for name, w in weights.items() if name[:6] == last[:6]}
+    save_file(weights, run / "best.safetensors")
+    report = evaluate(run, dataset, tmp_path / "report", device="cpu", progress=False)
+    assert report.prediction == report.no_object
+    clouds = {file.name for file in (tmp_path / "report" / "pointclouds").iterdir()}
+    assert clouds == {f"{scene}_gt.ply" for scene in dataset.ids("test")}
+
+
+@pytest.mark.parametrize(
+    "change", [{"loss": "depth"}, {"channels": "paper"}, {"channels": "residual"}, {"augmentations": "none"}]
+)
+def test_every_choice_learns_on_closed_form_scenes(dataset, tmp_path, change):
+    learning = {"width": 8, "batch_size": 2, "max_epochs": 10, "augmentations": "flip"}
+    train(dataset, tmp_path / "run", settings(**(learning | change)))
+    with (tmp_path / "run" / "history.csv").open() as stream:
+        losses = [float(line["train_loss"]) for line in csv.DictReader(stream)]
+    assert losses[-1] < 0.8 * losses[0]  # between 0.5 and 0.7 of it with any of three seeds
+
+
+def test_evaluation_without_a_test_split_says_which_there_are(finished_run, tmp_path):
+    tables = {"count": 4, "test_fraction": 0.0, "validation_fraction": 0.5}
+    dataset = write_synthetic_dataset(tmp_path / "data", count=4, dataset=tables)
+    with pytest.raises(EvaluationError, match="has no test split: its 4 scenes are train and validation"):
+        evaluate(finished_run, dataset, tmp_path / "report", device="cpu", progress=False)
+
+
+def test_evaluation_at_another_resolution_or_frequency_is_refused(finished_run, tmp_path):
+    larger = write_synthetic_dataset(tmp_path / "larger", count=4, width=30, height=20)
+    with pytest.raises(EvaluationError, match=r"trained on 24x14 pixels, .* rendered at 30x20"):
+        evaluate(finished_run, larger, tmp_path / "report", device="cpu", progress=False)
+    slower = write_synthetic_dataset(tmp_path / "slower", count=4, itof={"frequencies_hz": [20e6, 50e6]})
+    with pytest.raises(EvaluationError, match=r"trained at \[20.0, 50.0, 60.0\] MHz"):
+        evaluate(finished_run, slower, tmp_path / "report", device="cpu", progress=False)
+    assert not (tmp_path / "report").exists()
+
+
+def test_settings_refuse_what_makes_no_sense():
+    for change in ({"channels": "all"}, {"batch_size": 0}, {"learning_rate": -1.0}, {"device": "tpu"}):
+        with pytest.raises(ValueError, match=next(iter(change))):
+            settings(**change)

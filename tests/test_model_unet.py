@@ -1,0 +1,81 @@
+"""The network: size, any image, symmetry of its padding, and the ability to learn."""
+
+import pytest
+import torch
+
+from itof import phasor_of_return
+from model import NightLoss, Readout, UNet
+
+FREQUENCY_HZ = 20e6
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    """Images this small are slower on several threads, and much slower beside other work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def test_the_network_of_the_paper_has_7763270_parameters():
+    network = UNet(7, 32)
+    assert sum(p.numel() for p in network.parameters()) == 7_763_270
+    assert network.parameter_count == 7_763_270
+
+
+@pytest.mark.parametrize(("channels", "height", "width"), [(7, 16, 32), (12, 30, 40), (3, 17, 5), (1, 1, 33)])
+def test_any_channel_count_and_image_size_gives_two_components_of_the_same_size(channels, height, width):
+    network = UNet(channels, 2, generator=seeded())
+    assert network(torch.randn(2, channels, height, width, generator=seeded())).shape == (2, 2, height, width)
+
+
+def test_padding_changes_nothing_where_the_receptive_field_does_not_reach_it():
+    # Repeating the edge by hand up to the same multiple of 16 is what forward must do, evenly on both sides.
+    network = UNet(2, 4, generator=seeded()).double()
+    image = torch.randn(1, 2, 30, 44, generator=seeded()).double()
+    by_hand = torch.nn.functional.pad(image, (2, 2, 1, 1), mode="replicate")
+    torch.testing.assert_close(network(image), network(by_hand)[..., 1:-1, 2:-2], rtol=0, atol=1e-12)
+
+
+def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive():
+    first, second = (UNet(12, 8, generator=seeded(3)) for _ in range(2))
+    other = UNet(12, 8, generator=seeded(4))
+    assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
+    image = torch.randn(4, 12, 30, 40, generator=seeded())
+    output = first(image).detach()
+    assert not torch.equal(output, other(image))
+    # He's initialisation keeps the scale within a few factors of 2 of the input's, which is 1.
+    assert 0.05 < float(output.std()) < 20
+
+
+def test_impossible_networks_are_refused():
+    with pytest.raises(ValueError, match="at least one channel"):
+        UNet(0)
+
+
+def test_the_network_overfits_one_batch():
+    generator = seeded()
+    channels = torch.randn(2, 3, 18, 24, generator=generator)
+    mask = torch.zeros(2, 18, 24)
+    mask[0, 4:9, 5:12], mask[1, 8:14, 12:20] = 1, 1
+    depth_m = mask * torch.tensor([2.4, 3.1])[:, None, None]
+    phasor = torch.from_numpy(phasor_of_return(depth_m.numpy(), FREQUENCY_HZ))
+    target = (torch.stack([phasor.real, phasor.imag], dim=1) * mask[:, None]).float()
+    loss = NightLoss(Readout(FREQUENCY_HZ))
+    network = UNet(3, 8, generator=generator)
+    optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
+    for _ in range(150):
+        optimiser.zero_grad()
+        value = loss(network(channels), target, depth_m, mask)
+        value.backward()
+        optimiser.step()
+    output = network(channels).detach()
+    # Half a percent of the pixels may still be wrong: object IoU of at least 0.9 on about 40 pixels.
+    hit = (loss.readout.mask(output) * mask).sum() / torch.maximum(loss.readout.mask(output), mask).sum()
+    assert hit > 0.9
+    assert float(value.detach()) < 0.1
