@@ -1,0 +1,210 @@
+"""The four commands: ``night-gen``, ``night-render``, ``night-train``, ``night-eval``.
+
+Whatever is wrong with the input becomes one sentence on stderr and exit code 2. Set ``NIGHT_TRACEBACK=1``
+to see where an error came from.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import logging
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from tqdm import tqdm
+
+import scenegen
+from scenegen import Preset
+
+DEVICE = click.option(
+    "--device",
+    type=click.Choice(["auto", "cpu", "cuda"]),
+    default="auto",
+    show_default=True,
+    help="Where to compute; auto takes a GPU if there is one.",
+)
+FOLDER = click.Path(path_type=Path)
+
+
+class Refusal(click.ClickException):
+    """A one-sentence error with exit code 2."""
+
+    exit_code = 2
+
+
+def refusing(command: Callable[..., None]) -> Callable[..., None]:
+    """Turn the errors that input can cause into one sentence; leave the rest of click as it is."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> None:
+        logging.basicConfig(level=logging.INFO, format="%(message)s")
+        try:
+            command(*args, **kwargs)
+        except (ValueError, RuntimeError, MemoryError, OSError) as error:
+            # click's own exceptions are RuntimeErrors that it knows how to show.
+            if isinstance(error, click.exceptions.Exit | click.ClickException | click.Abort):
+                raise
+            if os.environ.get("NIGHT_TRACEBACK"):
+                raise
+            raise Refusal(_sentence(error)) from None
+
+    return wrapped
+
+
+@click.group()
+@click.version_option(package_name="night-nlos")
+def night_gen() -> None:
+    """Make look-behind-a-corner scenes in Blender."""
+
+
+@night_gen.command()
+@click.argument("out", type=FOLDER)
+@click.option("--preset", default="paper", show_default=True, help="Name in data/presets, or a .toml file.")
+@click.option("--count", type=click.IntRange(min=1), help="Number of scenes instead of the preset's.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed instead of the preset's.")
+@refusing
+def scenes(out: Path, preset: str, count: int | None, seed: int | None) -> None:
+    """Make the scenes of a preset in the folder OUT."""
+    from scenegen.generation import check_target, generate
+
+    settings = _overridden(scenegen.load_preset(preset), count, seed)
+    check_target(out, settings)  # before Blender, which takes a second to load
+    from scenegen.blender import BlenderMaker
+
+    with tqdm(total=settings.dataset.count, unit="scene", desc="scenes") as bar:
+        dataset = generate(out, settings, BlenderMaker(), lambda: bar.update())
+    found = scenegen.leaks(dataset.scene(scene_id) for scene_id in dataset.ids())
+    if found:
+        click.echo(f"warning: the splits leak in {len(found)} places, for example: {found[0]}", err=True)
+    parts = [f"{len(dataset.ids(split))} {split}" for split in ("train", "validation", "test")]
+    click.echo(f"{len(dataset.ids())} scenes in {out}: {', '.join(parts)}")
+
+
+@click.command()
+@click.argument("dataset", type=FOLDER)
+@click.option("--method", default="path", show_default=True, help="Rendering method.")
+@click.option(
+    "--spp",
+    type=click.IntRange(min=1),
+    default=4096,
+    show_default=True,
+    help="Paths per pixel; the hidden signal's error is about 10/sqrt(spp) per pixel.",
+)
+@DEVICE
+@click.option("--resolution", metavar="WxH", help="Image size instead of the preset's, same aspect ratio.")
+@click.option("--only", multiple=True, metavar="ID", help="Render only this scene; may be repeated.")
+@click.version_option(package_name="night-nlos")
+@refusing
+def night_render(
+    dataset: Path, method: str, spp: int, device: str, resolution: str | None, only: tuple[str, ...]
+) -> None:
+    """Render what the camera measures of every scene in DATASET; what is already rendered is kept."""
+    import render
+
+    opened = scenegen.open_dataset(dataset)
+    ids = [opened.entry(scene_id).id for scene_id in only] or opened.ids()
+    settings = render.RenderSettings(method, spp, device, _size(resolution))  # type: ignore[arg-type]
+    renderer = render.Renderer(opened, settings)
+    missing = [scene_id for scene_id in ids if not renderer.is_done(scene_id)]
+    _say_space(
+        dataset, len(missing), renderer.layout.width * renderer.layout.height * renderer.layout.bin_count
+    )
+    for scene_id in tqdm(missing, unit="scene", desc=f"render ({renderer.variant})"):
+        renderer.render(scene_id)
+    click.echo(f"{len(missing)} scenes rendered, {len(ids) - len(missing)} were there; {dataset / 'renders'}")
+
+
+@click.command()
+@click.argument("dataset", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
+@click.option("--preset", help="Training settings: a name in data/training, or a .toml file.")
+@click.option("--channels", type=click.Choice(["paper", "residual", "paper+residual"]), help="Network input.")
+@click.option("--width", type=click.IntRange(min=1), help="Channels of the U-Net's first level.")
+@click.option("--loss", type=click.Choice(["components", "depth"]), help="What the MAE is taken on.")
+@click.option("--alpha", type=click.FloatRange(min=0), help="Weight of the object in the loss.")
+@click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Adam's step.")
+@click.option("--batch-size", type=click.IntRange(min=1), help="Scenes a step.")
+@click.option("--max-epochs", type=click.IntRange(min=1), help="Longest training.")
+@click.option("--patience", type=click.IntRange(min=1), help="Epochs without a better validation loss.")
+@click.option("--augmentations", type=click.Choice(["none", "flip", "paper"]), help="Of the training scenes.")
+@click.option("--noise-sigma", type=click.FloatRange(min=0), help="Sensor noise, in 20 MHz amplitudes.")
+@click.option("--seed", type=click.IntRange(min=0), help="Of weights, order and augmentation.")
+@DEVICE
+@click.option("--resume", is_flag=True, help="Go on where the run in --out was interrupted.")
+@click.version_option(package_name="night-nlos")
+@refusing
+def night_train(dataset: Path, out: Path, preset: str | None, resume: bool, **options: Any) -> None:
+    """Train a network on the renders of DATASET; options override the preset."""
+    import model
+
+    opened = scenegen.open_dataset(dataset)
+    data, origin = scenegen.read_settings("training", preset) if preset else ({}, "options")
+    given = {name: value for name, value in options.items() if value is not None}
+    result = model.train(opened, out, model.settings_from_dict(data | given, origin), resume=resume)
+    click.echo(
+        f"{result.epochs} epochs, ended by {result.ended_by}; best validation loss "
+        f"{result.best_validation_loss:.4f} in epoch {result.best_epoch}; run in {out}"
+    )
+
+
+@click.command()
+@click.argument("run", type=FOLDER)
+@click.argument("dataset", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Report folder to write.")
+@click.option(
+    "--split", type=click.Choice(["train", "validation", "test"]), default="test", show_default=True
+)
+@DEVICE
+@click.version_option(package_name="night-nlos")
+@refusing
+def night_eval(run: Path, dataset: Path, out: Path, split: Any, device: Any) -> None:
+    """Judge the network of RUN against the ground truth of DATASET."""
+    import model
+
+    report = model.evaluate(run, scenegen.open_dataset(dataset), out, split=split, device=device)
+    click.echo(report.table)
+    click.echo(f"figures and point clouds in {out}")
+
+
+def _overridden(preset: Preset, count: int | None, seed: int | None) -> Preset:
+    changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
+    return dataclasses.replace(preset, dataset=dataclasses.replace(preset.dataset, **changes))
+
+
+def _size(resolution: str | None) -> tuple[int, int] | None:
+    if resolution is None:
+        return None
+    match = re.fullmatch(r"(\d+)x(\d+)", resolution)
+    if match is None:
+        raise click.BadParameter(
+            f"{resolution!r} is no image size; write it like 160x120", param_hint="--resolution"
+        )
+    return int(match[1]), int(match[2])
+
+
+def _say_space(dataset: Path, scenes: int, values: int) -> None:
+    """Say before starting when the transients could fill the disk."""
+    upper_bytes = 2 * 4 * values * scenes  # scene and mirrored scene, float32, before compression
+    free_bytes = shutil.disk_usage(dataset).free
+    if upper_bytes > free_bytes:
+        click.echo(
+            f"note: {scenes} scenes are {upper_bytes / 1e9:.0f} GB before compression, and "
+            f"{free_bytes / 1e9:.0f} GB are free; sparse transients shrink to a few percent of that, "
+            "dense ones to 40 %",
+            err=True,
+        )
+
+
+def _sentence(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"out of memory {error}".strip() + ": use a smaller resolution, batch or bin_count"
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,110 @@
+"""The shape of the house (STYLE 1 and 5): arrows go one way, and importing does nothing."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+OURS = ("scenegen", "itof", "render", "model", "cli")
+MAY_IMPORT = {
+    "scenegen": set(),
+    "itof": set(),
+    "render": {"scenegen", "itof"},
+    "model": {"scenegen", "itof"},
+    "cli": {"scenegen", "itof", "render", "model"},
+}
+# Libraries that live in one place: where each may be imported.
+HOME = {
+    "mitsuba": "render/",
+    "drjit": "render/",
+    "mitransient": "render/",
+    "torch": "model/",
+    "click": "cli.py",
+    "bpy": "scenegen/blender.py",
+    "bmesh": "scenegen/blender.py",
+    "mathutils": "scenegen/blender.py",
+    "OpenEXR": "itof/exr.py",
+    "Imath": "itof/exr.py",
+}
+
+
+def sources():
+    files = [ROOT / "cli.py"]
+    for package in OURS[:-1]:
+        files += sorted((ROOT / package).rglob("*.py"))
+    return {str(file.relative_to(ROOT)): ast.parse(file.read_text()) for file in files}
+
+
+def imported_modules(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            yield node.module
+
+
+def test_imports_follow_the_arrows():
+    wrong = [
+        f"{file} imports {module}"
+        for file, tree in sources().items()
+        for module in imported_modules(tree)
+        if (target := module.split(".")[0]) in OURS
+        and target != (own := file.split("/")[0].removesuffix(".py"))
+        and target not in MAY_IMPORT[own]
+    ]
+    assert wrong == []
+
+
+def test_each_heavy_library_lives_in_its_one_place():
+    wrong = [
+        f"{file} imports {module}"
+        for file, tree in sources().items()
+        for module in imported_modules(tree)
+        if not file.startswith(HOME.get(module.split(".")[0], ""))
+    ]
+    assert wrong == []
+
+
+def test_the_blender_file_is_imported_late_and_by_night_gen_alone():
+    users = [
+        (file, node.col_offset)
+        for file, tree in sources().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module == "scenegen.blender"
+    ]
+    assert [file for file, _ in users] == ["cli.py"]
+    assert users[0][1] > 0  # inside a function
+
+
+@pytest.mark.parametrize("package", OURS)
+def test_importing_does_nothing_but_import(package, tmp_path):
+    heavy = {"mitsuba", "drjit", "bpy", "mitransient"} | ({"torch"} if package != "model" else set())
+    code = f"import sys, {package}; print(sorted({heavy!r} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+        env={"PATH": "", "HOME": str(tmp_path), "MPLCONFIGDIR": str(tmp_path / "mpl")},
+    )
+    assert done.stdout == "[]\n"
+    assert done.stderr == ""
+    assert {entry.name for entry in tmp_path.iterdir()} <= {"mpl"}
+
+
+@pytest.mark.parametrize("package", OURS[:-1])
+def test_a_package_says_what_it_offers(package):
+    tree = sources()[f"{package}/__init__.py"]
+    assert ast.get_docstring(tree)
+    names = next(
+        [element.value for element in node.value.elts]
+        for node in tree.body
+        if isinstance(node, ast.Assign) and node.targets[0].id == "__all__"
+    )
+    imported = [alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    assert sorted(names) == sorted(imported)
