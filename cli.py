@@ -194,8 +194,8 @@ def _say_space(dataset: Path, scenes: int, values: int) -> None:
     free_bytes = shutil.disk_usage(dataset).free
     if upper_bytes > free_bytes:
         click.echo(
-            f"note: {scenes} scenes are {upper_bytes / 1e9:.0f} GB before compression, and "
-            f"{free_bytes / 1e9:.0f} GB are free; sparse transients shrink to a few percent of that, "
+            f"note: {scenes} scenes are {upper_bytes / 1e9:.2g} GB before compression, and "
+            f"{free_bytes / 1e9:.2g} GB are free; sparse transients shrink to a few percent of that, "
             "dense ones to 40 %",
             err=True,
         )

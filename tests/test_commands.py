@@ -295,6 +295,17 @@ def test_an_old_llvm_is_refused_before_it_can_abort(copy):
     assert "too old" in done.stderr
 
 
+def test_a_disk_that_takes_no_more_leaves_no_half_file(copy):
+    shutil.rmtree(copy / "data" / "renders")
+    program = Path(sys.executable).with_name("night-render")
+    # The shell's limit on the size of a file (in KiB) stands in for a full disk: the same write fails.
+    command = f"ulimit -f 8; exec {program} {copy / 'data'} --spp 64 --device cpu"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("Error: Failed to write pixel data")
+    assert not list((copy / "data" / "renders").rglob("*.*"))
+
+
 def test_an_output_folder_that_is_a_file_is_refused(copy):
     (copy / "file").write_text("")
     assert "file" in refusal("night-train", copy / "data", "--out", copy / "file")

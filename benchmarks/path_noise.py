@@ -1,0 +1,65 @@
+"""How much noise the path tracer leaves on the hidden signal, and what a path costs.
+
+Renders a few scenes twice with different seeds; half the squared difference is the variance, and it is
+divided by the hidden signal itself (a long render less its one-bounce part), not by the total. Run:
+
+    .venv/bin/python benchmarks/path_noise.py
+"""
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from itof import TransientLayout, phasors
+from render import PathTracer, View, select_variant
+from scenegen import preset_from_dict
+from scenegen.blender import BlenderMaker
+from scenegen.generation import generate
+
+FREQUENCIES_HZ = (20e6, 50e6, 60e6)
+REFERENCE_SPP = 16384  # its own noise of 8-11 % changes the norm by half a percent
+
+
+def main() -> None:
+    """Print a table of noise against paths per pixel."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--width", type=int, default=40)
+    arguments.add_argument("--scenes", type=int, default=3)
+    arguments.add_argument("--spp", type=int, nargs="+", default=[256, 1024, 4096, 16384])
+    given = arguments.parse_args()
+    height = given.width * 3 // 4
+    layout = TransientLayout(given.width, height, 1500, 0.01, 0.0)
+    variant = select_variant()
+    import mitsuba as mi
+
+    with tempfile.TemporaryDirectory() as folder:
+        preset = preset_from_dict({"dataset": {"count": given.scenes}}, "benchmark")
+        dataset = generate(Path(folder) / "data", preset, BlenderMaker(), lambda: None)
+        print(f"{given.width} x {height} pixels, {variant}; error per pixel relative to the hidden signal")
+        print("scene   class            spp   20 MHz   50 MHz   60 MHz  x sqrt(spp)   Mpaths/s")
+        for scene_id in dataset.ids():
+            scene = mi.load_file(str(dataset.scene_folder(scene_id) / "scene.xml"), optimize=False)
+
+            def measure(spp, seed, bounces=3, scene=scene):
+                started = time.perf_counter()
+                blocks = list(PathTracer(spp, variant).row_blocks(scene, View(layout, bounces, seed)))
+                seconds = time.perf_counter() - started
+                return phasors(np.concatenate(blocks), FREQUENCIES_HZ, layout.bin_width_m), seconds
+
+            hidden = measure(REFERENCE_SPP, 10)[0] - measure(REFERENCE_SPP // 16, 11, bounces=1)[0]
+            norm = np.sqrt(np.mean(np.abs(hidden) ** 2, axis=(0, 1)))  # (F,)
+            for spp in given.spp:
+                (a, _), (b, seconds) = measure(spp, 1), measure(spp, 2)
+                variance = np.mean(np.abs(a - b) ** 2, axis=(0, 1)) / 2  # of one of two renders, not a path
+                error = np.sqrt(variance) / norm
+                rate = given.width * height * spp / seconds / 1e6
+                name = dataset.entry(scene_id).object_class
+                columns = "".join(f"{value:9.3f}" for value in error)
+                print(f"{scene_id}  {name:<14} {spp:6d}{columns}{error[0] * np.sqrt(spp):13.1f}{rate:11.1f}")
+
+
+if __name__ == "__main__":
+    main()
