@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from itof import TransientLayout, phasors
-from render import PathTracer, View, select_variant
+from render import MethodOptions, PathTracer, View, select_variant
 from scenegen import preset_from_dict
 from scenegen.blender import BlenderMaker
 from scenegen.generation import generate
@@ -45,7 +45,8 @@ def main() -> None:
 
             def measure(spp, seed, bounces=3, scene=scene):
                 started = time.perf_counter()
-                blocks = list(PathTracer(spp, variant).row_blocks(scene, View(layout, bounces, seed)))
+                view = View(layout, FREQUENCIES_HZ, bounces, seed)
+                blocks = list(PathTracer(MethodOptions(spp=spp), variant).expose(scene, view).row_blocks())
                 seconds = time.perf_counter() - started
                 return phasors(np.concatenate(blocks), FREQUENCIES_HZ, layout.bin_width_m), seconds
 

@@ -21,6 +21,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
 
@@ -34,7 +35,7 @@ from itof.measurement import MeasurementMatrix
 TRANSIENT_CHANNEL = "transient.Y"
 ATTRIBUTE_PREFIX = "night."
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
-_PHASOR_CHANNEL = re.compile(r"^(?P<prefix>\w+)\.(?P<mhz>[0-9.eE+-]+)MHz\.(?P<part>Re|Im)$")
+_PHASOR_CHANNEL = re.compile(r"^(?P<prefix>\w+)\.(?P<mhz>\d+(?:\.\d+)?)MHz\.(?P<part>Re|Im)$")
 _READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (DESIGN 4.14)
 
 
@@ -84,7 +85,9 @@ class TransientWriter:
     ValueError : a block of another shape, too many or too few rows.
     """
 
-    def __init__(self, path: Path, layout: TransientLayout, attributes: Mapping[str, str]) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], layout: TransientLayout, attributes: Mapping[str, str]
+    ) -> None:
         self.layout = layout
         self._row = 0
         header = OpenEXR.Header(layout.width * layout.bin_count, layout.height)
@@ -93,7 +96,7 @@ class TransientWriter:
         axis = {name: repr(getattr(layout, name)) for name in ("bin_count", "bin_width_m", "start_opl_m")}
         for name, text in {**attributes, **axis}.items():
             header[ATTRIBUTE_PREFIX + name] = text.encode()
-        self._file = OpenEXR.OutputFile(str(path), header)
+        self._file = OpenEXR.OutputFile(str(Path(path)), header)
 
     def write_rows(self, block: ArrayLike) -> None:
         """Append image rows: (rows, W, T), stored as float32."""
@@ -133,10 +136,10 @@ class TransientReader:
     ImageFileError : missing, truncated or foreign file.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        with _one_sentence(path):
-            self._file = OpenEXR.InputFile(str(path))
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        with _one_sentence(self.path):
+            self._file = OpenEXR.InputFile(str(self.path))
             header = self._file.header()
         self.attributes = {
             name.removeprefix(ATTRIBUTE_PREFIX): value.decode()
@@ -179,9 +182,18 @@ class TransientReader:
             yield self.read_rows(start, min(start + step, self.layout.height))
 
     def phasors(self, frequencies_hz: Sequence[float]) -> NDArray[np.complex128]:
-        """(H, W, F) iToF phasors Φ x of the whole file, streamed."""
+        """(H, W, F) iToF phasors Φ x of the whole file, streamed.
+
+        A file whose attribute ``night.splat`` is ``tent`` has the tent's transfer function divided out.
+        """
         axis = self.layout
-        phi = MeasurementMatrix(tuple(frequencies_hz), axis.bin_count, axis.bin_width_m, axis.start_opl_m)
+        phi = MeasurementMatrix(
+            tuple(frequencies_hz),
+            axis.bin_count,
+            axis.bin_width_m,
+            axis.start_opl_m,
+            splat="tent" if self.attributes.get("splat") == "tent" else "point",
+        )
         return phi.apply_streaming(self.row_blocks())
 
     def __enter__(self) -> TransientReader:
@@ -216,24 +228,34 @@ class Image:
             self.channel(f"{prefix}.{mhz}MHz.Re") + 1j * self.channel(f"{prefix}.{mhz}MHz.Im")
             for mhz in labels
         ]
-        # Through a decimal string, 20 MHz comes back as exactly 20e6 Hz.
         return np.stack(parts, axis=-1).astype(np.complex64), tuple(float(f"{mhz}e6") for mhz in labels)
 
 
 def phasor_channels(
     phasor: ArrayLike, frequencies_hz: Sequence[float], prefix: str = "itof"
 ) -> dict[str, NDArray[np.float32]]:
-    """Channels ``<prefix>.<f>MHz.Re/Im`` of (H, W, F) phasors, float32."""
+    """Channels ``<prefix>.<f>MHz.Re/Im`` of (H, W, F) phasors, float32.
+
+    <f> is the frequency's shortest exact decimal with the point moved, so any frequency comes back exactly.
+    """
     z = np.asarray(phasor)
     channels: dict[str, NDArray[np.float32]] = {}
     for index, frequency_hz in enumerate(frequencies_hz):
-        label = f"{prefix}.{np.format_float_positional(frequency_hz / 1e6, trim='-')}MHz"
+        label = f"{prefix}.{_megahertz(frequency_hz)}MHz"
         channels[f"{label}.Re"] = z[..., index].real.astype(np.float32)
         channels[f"{label}.Im"] = z[..., index].imag.astype(np.float32)
     return channels
 
 
-def write_image(path: Path, channels: Mapping[str, ArrayLike], attributes: Mapping[str, str]) -> None:
+def _megahertz(frequency_hz: float) -> str:
+    """20e6 as "20", 62.5e6 as "62.5": decimal digits, which division by a float 1e6 would not keep."""
+    digits = format(Decimal(repr(float(frequency_hz))).scaleb(-6), "f")
+    return digits.rstrip("0").rstrip(".") if "." in digits else digits
+
+
+def write_image(
+    path: str | os.PathLike[str], channels: Mapping[str, ArrayLike], attributes: Mapping[str, str]
+) -> None:
     """Write named (H, W) channels as float32.
 
     Raises
@@ -251,20 +273,21 @@ def write_image(path: Path, channels: Mapping[str, ArrayLike], attributes: Mappi
     header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
     for name, text in attributes.items():
         header[ATTRIBUTE_PREFIX + name] = text.encode()
-    file = OpenEXR.OutputFile(str(path), header)
+    file = OpenEXR.OutputFile(str(Path(path)), header)
     try:
         file.writePixels({name: values.tobytes() for name, values in pixels.items()}, height)
     finally:
         file.close()
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: str | os.PathLike[str]) -> Image:
     """Read all channels of an EXR image as (H, W) float32.
 
     Raises
     ------
     ImageFileError : missing, truncated or foreign file.
     """
+    path = Path(path)
     with _one_sentence(path):
         file = OpenEXR.InputFile(str(path))
         try:

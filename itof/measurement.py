@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from itof.light import SPEED_OF_LIGHT, phase_per_metre
+
+Splat = Literal["point", "tent"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,10 @@ class MeasurementMatrix:
     bin_count : T, number of time bins.
     bin_width_m : bin width in *optical path length* (out and back), metres.
     start_opl_m : optical path length where the first bin begins, metres.
+    splat : how returns were put into bins. ``point``: nothing is assumed, Φ is exp(j 2π f tau_t) itself.
+        ``tent``: each return was split linearly between the two nearest bin centres, which multiplies the
+        phasor of light spread over bins by sinc²(f w / c); Φ divides that out. At 60 MHz and 1 cm it is
+        1.3e-5 of the total, and that is 1 % of the hidden signal.
 
     Raises
     ------
@@ -34,6 +41,7 @@ class MeasurementMatrix:
     bin_count: int
     bin_width_m: float
     start_opl_m: float = 0.0
+    splat: Splat = "point"
 
     def __post_init__(self) -> None:
         if not self.frequencies_hz:
@@ -59,8 +67,13 @@ class MeasurementMatrix:
     @property
     def rows(self) -> NDArray[np.float64]:
         """(2F, T) real matrix Φ: F rows of cosines, then F rows of sines."""
-        angle_rad = np.outer(phase_per_metre(self.frequencies_hz), self.bin_centres_m)  # (F, T)
-        return np.concatenate([np.cos(angle_rad), np.sin(angle_rad)])  # (2F, T)
+        turns = phase_per_metre(self.frequencies_hz)  # (F,)
+        angle_rad = np.outer(turns, self.bin_centres_m)  # (F, T)
+        rows = np.stack([np.cos(angle_rad), np.sin(angle_rad)])  # (2, F, T)
+        if self.splat == "tent":
+            # numpy's sinc(x) is sin(pi x) / (pi x), and k w / 2π is the bin width in wavelengths
+            rows /= np.sinc(turns * self.bin_width_m / (2 * np.pi))[:, None] ** 2
+        return rows.reshape(-1, self.bin_count)  # (2F, T)
 
     def apply(self, transient: ArrayLike) -> NDArray[np.complex128]:
         """Phasors of `transient` (..., T): (..., F) complex, in its unit; summed in float64.

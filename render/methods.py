@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from render.method import Method
+from render.many_light import ManyLight
+from render.method import Method, MethodOptions
 from render.path_tracer import PathTracer
 
-# A method is built from (paths per pixel, Mitsuba variant).
-METHODS: dict[str, Callable[[int, str], Method]] = {PathTracer.name: PathTracer}
-DEFAULT_METHOD = PathTracer.name
+# A method is built from its options and the active Mitsuba variant.
+METHODS: dict[str, Callable[[MethodOptions, str], Method]] = {
+    ManyLight.name: ManyLight,
+    PathTracer.name: PathTracer,
+}
+DEFAULT_METHOD = ManyLight.name

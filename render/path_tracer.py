@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from render.method import View
+from render.method import MethodOptions, View
 from render.transient_film import FILM_PLUGIN, register_film
 
 if TYPE_CHECKING:
@@ -27,32 +28,62 @@ log = logging.getLogger(__name__)
 class PathTracer:
     """Unbiased transient path tracing with next-event estimation.
 
-    The error of the hidden signal falls as 1/sqrt(spp): about 10/sqrt(spp) per pixel (DESIGN 4.4).
+    The error of the hidden signal falls as 1/sqrt(spp): 10 to 15 / sqrt(spp) per pixel.
 
     Parameters
     ----------
-    spp : paths per pixel, rounded up to whole passes of at most 1024.
+    options : `spp`, paths per pixel, is rounded up to whole passes of equal strata, at most 1024 each.
     variant : the active Mitsuba variant.
     """
 
     name = "path"
 
-    def __init__(self, spp: int, variant: str) -> None:
-        if spp < 1:
-            raise ValueError(f"--spp must be at least 1, got {spp}")
-        self.passes = -(-spp // _SAMPLES_PER_PASS)
-        self.spp_per_pass = -(-spp // self.passes)
+    def __init__(self, options: MethodOptions, variant: str) -> None:
+        if options.spp < 1:
+            raise ValueError(f"--spp must be at least 1, got {options.spp}")
+        self.passes = -(-options.spp // _SAMPLES_PER_PASS)
+        self.spp_per_pass = _whole_strata(-(-options.spp // self.passes))
         register_film(variant)
         _register_integrator(variant)
 
-    def row_blocks(self, scene: mi.Scene, view: View) -> Iterator[NDArray[np.float32]]:
+    def expose(self, scene: mi.Scene, view: View) -> PathExposure:
+        """Nothing to prepare: all work is in the rows."""
+        return PathExposure(self.passes, self.spp_per_pass, scene, view)
+
+
+def _whole_strata(spp: int) -> int:
+    """The next product of two near-equal whole numbers: how many strata a multi-jittered pixel has."""
+    rows = int(np.sqrt(spp))
+    return rows * -(-spp // rows)
+
+
+@dataclass(frozen=True)
+class PathExposure:
+    """One measurement by path tracing."""
+
+    passes: int
+    spp_per_pass: int
+    scene: mi.Scene
+    view: View
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Provenance for the file: the paths per pixel that were really traced."""
+        return {"spp": str(self.passes * self.spp_per_pass)}
+
+    def phasors(self, frequencies_hz: tuple[float, ...]) -> None:
+        """None: mitransient's films know only bins."""
+        return
+
+    def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Time-resolved image rows, top to bottom, as blocks (rows, W, T) of radiance per bin."""
+        view = self.view
         step = max(1, _WAVEFRONT // (view.layout.width * self.spp_per_pass))
         step = min(step, view.layout.rows_per_block)
         energy = lost = 0.0
         for start in range(0, view.layout.height, step):
             rows = min(step, view.layout.height - start)
-            block, steady = self._render_rows(scene, view, start, rows)
+            block, steady = self._render_rows(start, rows)
             energy += steady
             lost += steady - float(block.sum(dtype=np.float64))
             yield block
@@ -62,12 +93,11 @@ class PathTracer:
                 100 * lost / energy,
             )
 
-    def _render_rows(
-        self, scene: mi.Scene, view: View, start: int, rows: int
-    ) -> tuple[NDArray[np.float32], float]:
+    def _render_rows(self, start: int, rows: int) -> tuple[NDArray[np.float32], float]:
         import drjit as dr
         import mitsuba as mi
 
+        scene, view = self.scene, self.view
         sensor = mi.load_dict(_sensor_dict(scene, view, start, rows))
         integrator = mi.load_dict({"type": INTEGRATOR_PLUGIN, "max_depth": view.max_bounces + 1})
         total = np.zeros((rows, view.layout.width, view.layout.bin_count))

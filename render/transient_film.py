@@ -29,6 +29,8 @@ def register_film(variant: str) -> None:
     import mitsuba as mi
     from mitransient.films.transient_hdr_film import TransientHDRFilm
 
+    from render.kernels import TimeAxis, splat_tent
+
     class TransientFilm(TransientHDRFilm):
         """Crop-sized, single-channel, tent-splatting transient film (mono variants)."""
 
@@ -36,6 +38,7 @@ def register_film(variant: str) -> None:
             size = self.crop_size()
             self.shape = (int(size.y), int(size.x), int(self.temporal_bins))
             self.energy = dr.zeros(mi.Float, self.shape[0] * self.shape[1] * self.shape[2])
+            self.axis = TimeAxis(int(self.temporal_bins), float(self.bin_width_opl), float(self.start_opl))
             self.channels = ["L"]
             return 1
 
@@ -56,23 +59,13 @@ def register_film(variant: str) -> None:
             active: mi.Bool,
             **_unused: object,
         ) -> None:
-            height, width, bins = self.shape
-            energy = (spec * ray_weight).x
-            # DrJit's scatter drops a NaN in silence; infinity stays and stops the render.
-            energy = dr.select(dr.isnan(energy), dr.inf, energy)
-            centre = (distance - self.start_opl) / self.bin_width_opl - 0.5  # in bin centres
-            lower = dr.floor(centre)
-            upper_share = centre - lower
+            height, width, _ = self.shape
             column = mi.Int32(pos.x) - int(self.crop_offset().x)
             row = mi.Int32(pos.y) - int(self.crop_offset().y)
-            inside = active & (column >= 0) & (column < width) & (row >= 0) & (row < height) & (energy != 0)
-            first = (row * width + column) * bins
-            for step, share in ((0, 1 - upper_share), (1, upper_share)):
-                index = mi.Int32(lower) + step
-                valid = inside & (index >= 0) & (index < bins)
-                dr.scatter_reduce(
-                    dr.ReduceOp.Add, self.energy, energy * share, mi.UInt32(first + index), valid
-                )
+            inside = active & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            energy = dr.select(inside, (spec * ray_weight).x, 0)
+            first = mi.UInt32(row * width + column) * self.axis.count
+            splat_tent(self.energy, first, self.axis, distance, energy, dr.ReduceMode.Auto)
 
     make: Callable[[Any], Any] = TransientFilm
     mi.register_film(FILM_PLUGIN, make)

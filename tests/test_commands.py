@@ -63,7 +63,7 @@ def pipeline(tmp_path_factory):
     data, run, report = folder / "data", folder / "run", folder / "report"
     steps = [
         ("night-gen", "scenes", data, "--preset", folder / "small.toml"),
-        ("night-render", data, "--spp", 64, "--device", "cpu"),
+        ("night-render", data, "--lights", 128, "--device", "cpu"),
         ("night-train", data, "--out", run, *TRAINING, "--device", "cpu"),
         ("night-eval", run, data, "--split", "test", "--out", report, "--device", "cpu"),
     ]
@@ -96,7 +96,7 @@ def test_the_four_commands_go_from_nothing_to_a_judged_depth_map(pipeline):
         assert truth.channel("mask.M").sum() > 3
         with TransientReader(dataset.render_folder(scene_id) / "transient.exr") as reader:
             assert reader.attributes["scene_id"] == scene_id
-            assert reader.attributes["method"] == "path"
+            assert reader.attributes["method"] == "many-light"
     metrics = json.loads((folder / "report" / "metrics.json").read_text())
     assert metrics["scene_count"] == 1
     assert 0.45 < metrics["no_object"]["miou"]["mean"] < 0.5
@@ -113,18 +113,17 @@ def test_the_four_commands_go_from_nothing_to_a_judged_depth_map(pipeline):
 
 def test_a_second_render_keeps_what_is_there_and_mends_what_is_not(copy):
     (copy / "data" / "renders" / "000003" / "itof.exr").unlink()
-    done = night("night-render", copy / "data", "--spp", 64, "--device", "cpu")
+    done = night("night-render", copy / "data", "--lights", 128, "--device", "cpu")
     assert done.returncode == 0
     assert done.stdout.startswith("1 scenes rendered, 6 were there")
 
 
 def test_only_renders_only_that_scene(copy):
     shutil.rmtree(copy / "data" / "renders")
-    result = CliRunner().invoke(
-        cli.night_render,
-        [str(copy / "data"), "--only", "000002", "--spp", "4", "--resolution", "12x9", "--device", "cpu"],
-    )
+    words = ["--only", "000002", "--only", "000002", "--method", "path", "--spp", "4", "--resolution", "12x9"]
+    result = CliRunner().invoke(cli.night_render, [str(copy / "data"), *words])
     assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("1 scenes rendered")
     assert [folder.name for folder in (copy / "data" / "renders").iterdir()] == ["000002"]
 
 
@@ -222,7 +221,7 @@ def test_a_nan_in_a_render_is_refused(copy):
 
 
 def test_another_resolution_between_stages_is_refused(copy):
-    half = ["--spp", 4, "--device", "cpu", "--resolution", "12x9"]
+    half = ["--lights", 64, "--device", "cpu", "--resolution", "12x9"]
     assert night("night-render", copy / "data", *half, "--only", "000001").returncode == 0
     message = refusal("night-train", copy / "data", "--out", copy / "new")
     assert "12x9" in message
@@ -299,7 +298,7 @@ def test_a_disk_that_takes_no_more_leaves_no_half_file(copy):
     shutil.rmtree(copy / "data" / "renders")
     program = Path(sys.executable).with_name("night-render")
     # The shell's limit on the size of a file (in KiB) stands in for a full disk: the same write fails.
-    command = f"ulimit -f 8; exec {program} {copy / 'data'} --spp 64 --device cpu"
+    command = f"ulimit -f 8; exec {program} {copy / 'data'} --lights 64 --device cpu"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("Error: Failed to write pixel data")

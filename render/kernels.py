@@ -1,0 +1,187 @@
+"""DrJit kernels of the many-light method. Imported late: they need Mitsuba and DrJit.
+
+Numbers that change from scene to scene come in as arrays, never as Python numbers: a literal in a kernel
+recompiles it.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+_ALIGNMENT = 64  # bytes; what DrJit's own arrays have
+
+
+def upload(values: NDArray[np.floating]) -> mi.Float:
+    """Numpy values as a DrJit array, from aligned memory.
+
+    On the CPU DrJit borrows numpy's memory, and writes its alignment into the kernel: the same kernel would
+    be compiled again whenever numpy happens to allocate elsewhere.
+    """
+    flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
+    room = np.empty(flat.nbytes + _ALIGNMENT, np.uint8)
+    start = -room.ctypes.data % _ALIGNMENT
+    aligned = room[start : start + flat.nbytes].view(np.float32)
+    aligned[:] = flat
+    return mi.Float(aligned)
+
+
+def upload_points(values: NDArray[np.floating]) -> mi.Point3f:
+    """(N, 3) numpy values as N points."""
+    return mi.Point3f(*(upload(column) for column in np.asarray(values).T))
+
+
+def camera_hits(scene: mi.Scene, x: mi.Float, y: mi.Float) -> mi.SurfaceInteraction3f:
+    """First surfaces behind film positions (x, y in [0, 1]); `t` counts from the pinhole."""
+    sensor = scene.sensors()[0]
+    ray, _ = sensor.sample_ray(0.0, 0.0, mi.Point2f(x, y), mi.Point2f(0.5))
+    ray = mi.Ray3f(ray)
+    ray.o = sensor.world_transform().translation()  # Mitsuba starts at the near clip plane
+    return scene.ray_intersect(ray)
+
+
+def direct_return(
+    scene: mi.Scene, si: mi.SurfaceInteraction3f, sample: mi.Point2f
+) -> tuple[mi.Float, mi.Float]:
+    """Radiance of the one-bounce return and its optical path length."""
+    emitted, weight = scene.sample_emitter_direction(si, sample, True, si.is_valid())
+    lit = si.is_valid() & (emitted.pdf != 0)
+    reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(emitted.d), lit)
+    return dr.select(lit, (reflected * weight).x, 0), dr.select(lit, si.t + emitted.dist, 0)
+
+
+def light_transport(
+    scene: mi.Scene, si: mi.SurfaceInteraction3f, bsdf: mi.BSDFPtr, position: mi.Point3f, normal: mi.Point3f
+) -> tuple[mi.Float, mi.Float]:
+    """Radiance towards the camera per intensity of a light, f cos a cos b / d² V, and the distance d."""
+    gap = position - si.p
+    squared = dr.squared_norm(gap)
+    distance = dr.sqrt(squared)
+    direction = gap / distance
+    cosine = -dr.dot(normal, direction)
+    local = si.to_local(direction)
+    seen = si.is_valid() & (cosine > 0)
+    reflected = bsdf.eval(mi.BSDFContext(), si, local, seen).x
+    seen &= reflected > 0
+    seen &= ~scene.ray_test(si.spawn_ray_to(position), seen)
+    return dr.select(seen, reflected * cosine / squared, 0), distance
+
+
+@dr.syntax
+def gather_phasors(
+    scene: mi.Scene,
+    si: mi.SurfaceInteraction3f,
+    position: mi.Point3f,
+    normal: mi.Point3f,
+    real: mi.Float,
+    imaginary: mi.Float,
+    phase_per_metre: list[mi.Float],
+    count: mi.UInt32,
+) -> tuple[list[mi.Float], list[mi.Float]]:
+    """Sum over all lights of transport x complex intensity x exp(j k (d + t)), per frequency.
+
+    `real` and `imaginary` hold the lights' intensities, frequencies contiguous.
+    """
+    frequency_count = len(phase_per_metre)
+    total_re = [mi.Float(0) for _ in range(frequency_count)]
+    total_im = [mi.Float(0) for _ in range(frequency_count)]
+    bsdf = si.bsdf()
+    light = mi.UInt32(0)
+    while light < count:
+        transport, distance = light_transport(
+            scene,
+            si,
+            bsdf,
+            dr.gather(mi.Point3f, position, light),
+            dr.gather(mi.Point3f, normal, light),
+        )
+        opl = distance + si.t
+        for index in range(frequency_count):
+            sine, cosine = dr.sincos(phase_per_metre[index] * opl)
+            re = dr.gather(mi.Float, real, light * frequency_count + index)
+            im = dr.gather(mi.Float, imaginary, light * frequency_count + index)
+            total_re[index] += transport * (re * cosine - im * sine)
+            total_im[index] += transport * (re * sine + im * cosine)
+        light += 1
+    return total_re, total_im
+
+
+@dr.syntax
+def splat_lights(
+    scene: mi.Scene,
+    si: mi.SurfaceInteraction3f,
+    position: mi.Point3f,
+    normal: mi.Point3f,
+    energy: mi.Float,
+    opl: mi.Float,
+    packets: mi.UInt32,
+    count: mi.UInt32,
+    axis: TimeAxis,
+    bins: mi.Float,
+) -> None:
+    """Splat every packet of every light into the bins of pixel `lane`."""
+    bsdf = si.bsdf()
+    first = dr.arange(mi.UInt32, dr.width(si.t)) * axis.count
+    light = mi.UInt32(0)
+    while light < count:
+        transport, distance = light_transport(
+            scene,
+            si,
+            bsdf,
+            dr.gather(mi.Point3f, position, light),
+            dr.gather(mi.Point3f, normal, light),
+        )
+        travelled = distance + si.t
+        packet = light * packets
+        last = packet + dr.select(transport > 0, packets, 0)
+        while packet < last:
+            arrived = travelled + dr.gather(mi.Float, opl, packet)
+            splat_tent(
+                bins,
+                first,
+                axis,
+                arrived,
+                transport * dr.gather(mi.Float, energy, packet),
+                dr.ReduceMode.NoConflicts,
+            )
+            packet += 1
+        light += 1
+
+
+class TimeAxis:
+    """A time axis as opaque DrJit numbers: bin count, 1 / bin width, start."""
+
+    DRJIT_STRUCT: ClassVar = {"count": mi.UInt32, "per_metre": mi.Float, "start": mi.Float}
+
+    def __init__(self, count: int = 1, bin_width_m: float = 1.0, start_opl_m: float = 0.0) -> None:
+        self.count = dr.opaque(mi.UInt32, count)
+        self.per_metre = dr.opaque(mi.Float, 1 / bin_width_m)
+        self.start = dr.opaque(mi.Float, start_opl_m)
+
+
+def splat_tent(
+    bins: mi.Float,
+    first: mi.UInt32,
+    axis: TimeAxis,
+    opl: mi.Float,
+    energy: mi.Float,
+    mode: dr.ReduceMode,
+) -> None:
+    """Add `energy` at `opl` to the two nearest bin centres of the pixel whose bins begin at `first`.
+
+    What falls outside the time axis is lost. NaN, which DrJit's scatter would drop in silence, becomes
+    infinity and stops the render.
+    """
+    energy = dr.select(dr.isnan(energy), dr.inf, energy)
+    centre = (opl - axis.start) * axis.per_metre - 0.5  # in bin centres
+    lower = dr.floor(centre)
+    upper_share = centre - lower
+    limit = mi.Int32(axis.count)
+    for step, share in ((0, 1 - upper_share), (1, upper_share)):
+        index = mi.Int32(lower) + step
+        inside = (index >= 0) & (index < limit) & (energy != 0)
+        dr.scatter_reduce(dr.ReduceOp.Add, bins, energy * share, first + mi.UInt32(index), inside, mode)
