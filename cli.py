@@ -68,8 +68,8 @@ def night_gen() -> None:
 @night_gen.command()
 @click.argument("out", type=FOLDER)
 @click.option("--preset", default="paper", show_default=True, help="Name in data/presets, or a .toml file.")
-@click.option("--count", type=click.IntRange(min=1), help="Number of scenes instead of the preset's.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed instead of the preset's.")
+@click.option("--count", type=int, help="Number of scenes instead of the preset's.")
+@click.option("--seed", type=int, help="Seed instead of the preset's.")
 @refusing
 def scenes(out: Path, preset: str, count: int | None, seed: int | None) -> None:
     """Make the scenes of a preset in the folder OUT."""

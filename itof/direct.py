@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 
+_BLOCK_RAYS = 2**18  # sub-pixel rays held at a time, about 30 MB
+
 
 def direct_phasors(
     width: int,
@@ -44,20 +46,26 @@ def direct_phasors(
 
     Source: derived here; the intensity is that of Mitsuba 3's ``projector``, checked in the tests.
     """
-    rays = pixel_rays(width * subpixels, height * subpixels, horizontal_fov_deg)  # (H s, W s, 3)
-    directions = rays @ np.asarray(camera_axes, dtype=np.float64)
     normal = np.asarray(wall_normal, dtype=np.float64) / np.linalg.norm(wall_normal)
     gap_m = (np.asarray(wall_point_m, dtype=np.float64) - np.asarray(camera_location_m)) @ normal
-    towards = directions @ normal  # cosine to the normal, signed like gap_m where the wall lies ahead
-    ahead = towards * gap_m > 0
-    radial_depth_m = np.where(ahead, gap_m / np.where(ahead, towards, 1.0), np.inf)
-    radiance = np.abs(towards) / (radial_depth_m**2 * rays[..., 2] ** 3)  # (H s, W s); 0 at infinity
-    opl_m = 2 * np.where(ahead, radial_depth_m, 0.0)  # the optical path goes out and back
-    blocks = (height, subpixels, width, subpixels)
-    return np.stack(
-        [
-            (radiance * np.exp(1j * k * opl_m)).reshape(blocks).mean(axis=(1, 3))
-            for k in phase_per_metre(frequencies_hz)
-        ],
-        axis=-1,
-    )
+    axes = np.asarray(camera_axes, dtype=np.float64)
+    turns = phase_per_metre(frequencies_hz)  # (F,)
+    step = max(1, _BLOCK_RAYS // (width * subpixels**2))
+    blocks = []
+    for first in range(0, height, step):
+        last = min(first + step, height)
+        rays = pixel_rays(
+            width * subpixels,
+            height * subpixels,
+            horizontal_fov_deg,
+            rows=(first * subpixels, last * subpixels),
+        )  # (rows s, W s, 3)
+        towards = rays @ axes @ normal  # cosine to the normal, signed like gap_m where the wall lies ahead
+        ahead = towards * gap_m > 0
+        radial_depth_m = np.where(ahead, gap_m / np.where(ahead, towards, 1.0), np.inf)
+        radiance = np.abs(towards) / (radial_depth_m**2 * rays[..., 2] ** 3)  # (rows s, W s); 0 at infinity
+        opl_m = 2 * np.where(ahead, radial_depth_m, 0.0)  # the optical path goes out and back
+        shape = (last - first, subpixels, width, subpixels)
+        each = [(radiance * np.exp(1j * k * opl_m)).reshape(shape).mean(axis=(1, 3)) for k in turns]
+        blocks.append(np.stack(each, axis=-1))  # (rows, W, F)
+    return np.concatenate(blocks)

@@ -6,17 +6,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def pixel_rays(width: int, height: int, horizontal_fov_deg: float) -> NDArray[np.float64]:
+def pixel_rays(
+    width: int, height: int, horizontal_fov_deg: float, *, rows: tuple[int, int] | None = None
+) -> NDArray[np.float64]:
     """Unit directions through the pixel centres, in camera axes: x right, y down, z forward.
 
     Parameters
     ----------
     width, height : image size, pixels (square pixels).
     horizontal_fov_deg : full horizontal field of view, degrees, between 0 and 180.
+    rows : only the image rows first..last-1; all by default.
 
     Returns
     -------
-    (H, W, 3) float64.
+    (H, W, 3) float64; with `rows`, (last - first, W, 3).
 
     Raises
     ------
@@ -29,8 +32,9 @@ def pixel_rays(width: int, height: int, horizontal_fov_deg: float) -> NDArray[np
     half_width = np.tan(np.radians(horizontal_fov_deg) / 2)  # half a field of view, not a path length
     pixel = 2 * half_width / width  # pixel pitch at unit z, not a path length
     x = (np.arange(width) + 0.5) * pixel - half_width  # (W,)
-    y = (np.arange(height) + 0.5 - height / 2) * pixel  # (H,), centred rows, not a path length
-    rays = np.stack([*np.meshgrid(x, y), np.ones((height, width))], axis=-1)  # (H, W, 3)
+    row = np.arange(*(rows or (0, height)))
+    y = (row + 0.5 - height / 2) * pixel  # (H,), centred rows, not a path length
+    rays = np.stack([*np.meshgrid(x, y), np.ones((len(y), width))], axis=-1)  # (H, W, 3)
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 

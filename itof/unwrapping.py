@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from itof.light import phase_per_metre, unambiguous_range_m
 
+DEFAULT_LIMIT_M = 100.0  # radial depth; farther than any iToF camera sees
+
 
 def combined_range_m(frequencies_hz: Sequence[float]) -> float:
     """Unambiguous range of all frequencies together, metres: c / (2 gcd); 14.99 m for 20, 50, 60 MHz."""
@@ -36,7 +38,8 @@ def unwrap_depth(
     ----------
     phase_rad : (..., F) phases, radians; any multiple of 2π off is the same phase.
     frequencies_hz : F modulation frequencies, Hz.
-    max_radial_depth_m : search limit, metres; by default the range of all frequencies together.
+    max_radial_depth_m : search limit, metres; by default the range of all frequencies together, but 100 m at
+        most: nearly coprime frequencies repeat only after millions of metres, and the work grows with it.
 
     Returns
     -------
@@ -52,7 +55,9 @@ def unwrap_depth(
     phi = np.asarray(phase_rad, dtype=np.float64)
     if phi.ndim == 0 or phi.shape[-1] != len(frequencies_hz):
         raise ValueError(f"expected {len(frequencies_hz)} phases on the last axis, got shape {phi.shape}")
-    limit_m = combined_range_m(frequencies_hz) if max_radial_depth_m is None else max_radial_depth_m
+    limit_m = max_radial_depth_m
+    if limit_m is None:
+        limit_m = min(combined_range_m(frequencies_hz), DEFAULT_LIMIT_M)
     if not limit_m > 0:
         raise ValueError(f"the depth limit must be positive, got {limit_m} m")
 

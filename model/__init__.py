@@ -13,7 +13,7 @@ from model.pointclouds import object_points, write_point_cloud
 from model.prediction import Prediction, Predictor, load_run
 from model.readout import Readout
 from model.renders import RenderedScene, ShardError, read_render
-from model.run_folder import RunConfig, RunError
+from model.run_folder import RunConfig, RunError, run_settings
 from model.settings import DEVICES, DeviceError, TrainSettings, choose_device, settings_from_dict
 from model.shards import ShardManifest, Shards, open_shards
 from model.training import TrainingError, TrainingResult, train
@@ -61,6 +61,7 @@ __all__ = [
     "object_points",
     "open_shards",
     "read_render",
+    "run_settings",
     "settings_from_dict",
     "summarise",
     "train",

@@ -23,6 +23,7 @@ from model.shards import Shards, open_shards
 from scenegen import Dataset, Split, whole_file, whole_folder, write_text
 
 REPORT_SCHEMA = 1
+REPORT_ENTRIES = frozenset({"metrics.json", "metrics.csv", "table.txt", "figures", "pointclouds"})
 PAPER = {
     "source": "Caligiuri et al. 2024 (arXiv 2403.19376), on their own data set",
     "depth_mae_m": {"mean": 0.0521, "std": 0.0284, "min": 0.0114, "max": 0.1870},
@@ -32,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 class EvaluationError(ValueError):
-    """A dataset that a run cannot be evaluated on."""
+    """A dataset that a run cannot be evaluated on, or a report folder that holds something else."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +75,16 @@ def evaluate(
     ``metrics.json``, ``metrics.csv`` (one line a scene), ``table.txt``, ``figures/`` (best, median and
     worst scene, histogram) and ``pointclouds/<id>_gt.ply``, ``<id>_pred.ply`` (none where no pixel shows an
     object).
-    What an earlier evaluation left there is replaced.
+    The folder appears whole or not at all; an earlier report there is replaced.
 
     Raises
     ------
-    EvaluationError : no scenes in the split, or images the run was not trained for.
+    EvaluationError : no scenes in the split, images the run was not trained for, or an `out` that holds
+        anything but an earlier report.
     RunError, DeviceError, ShardError, ImageFileError : an unusable run, device or dataset.
     """
+    out = out.resolve()  # a whole folder needs a name, which "." has not
+    _refuse_other_contents(out)
     predictor = load_run(run, device)
     if not dataset.ids(split):
         present = sorted({entry.split for entry in dataset.index.scenes})
@@ -90,25 +94,54 @@ def evaluate(
         )
     shards = open_shards(dataset, progress=progress)
     _refuse_other_images(predictor, shards, run, dataset)
+    with whole_folder(out) as folder:
+        report = _judge_split(
+            predictor, shards, split, folder, dataset.preset.camera.horizontal_fov_deg, progress
+        )
+        _write_figures(folder, report, predictor, shards)
+        _write_numbers(folder, report, run, dataset, shards)
+    return report
+
+
+def _judge_split(
+    predictor: Predictor, shards: Shards, split: Split, folder: Path, fov_deg: float, progress: bool
+) -> Report:
+    """Metrics of every scene of a split; their point clouds are written on the way."""
     rows = shards.rows(split)
     results: list[SceneResult] = []
-    with whole_folder(out / "pointclouds") as clouds:
-        for start in tqdm(range(0, len(rows), BATCH), desc=split, unit="batch", disable=not progress):
-            chosen = rows[start : start + BATCH]
-            predictions = predictor.predict(shards.complex_phasors(chosen), shards.reference)
-            for index, row in enumerate(chosen):
-                prediction = _one(predictions, index)
-                results.append(_judge(shards, row, prediction))
-                _write_clouds(clouds, shards, row, prediction, dataset.preset.camera.horizontal_fov_deg)
-    report = Report(
+    clouds = folder / "pointclouds"
+    clouds.mkdir()
+    for start in tqdm(range(0, len(rows), BATCH), desc=split, unit="batch", disable=not progress):
+        chosen = rows[start : start + BATCH]
+        predictions = predictor.predict(shards.complex_phasors(chosen), shards.reference)
+        for index, row in enumerate(chosen):
+            prediction = _one(predictions, index)
+            results.append(_judge(shards, row, prediction))
+            _write_clouds(clouds, shards, row, prediction, fov_deg)
+    return Report(
         split,
         tuple(results),
         summarise([r.prediction for r in results]),
         summarise([r.no_object for r in results]),
     )
-    _write_figures(out, report, predictor, shards)
-    _write_numbers(out, report, run, dataset, shards)
-    return report
+
+
+def _refuse_other_contents(out: Path) -> None:
+    """Refuse to replace anything but an empty folder or an earlier report."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise EvaluationError(f"{out} is a file: give the report a folder of its own")
+    names = {entry.name for entry in out.iterdir()}
+    try:
+        content = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        content = None
+    is_report = isinstance(content, dict) and content.get("schema_version") == REPORT_SCHEMA
+    if names and not (is_report and names <= REPORT_ENTRIES):
+        raise EvaluationError(
+            f"{out} is not empty and holds other things than an earlier report: choose another folder"
+        )
 
 
 def _refuse_other_images(predictor: Predictor, shards: Shards, run: Path, dataset: Dataset) -> None:
@@ -159,21 +192,22 @@ def _write_figures(out: Path, report: Report, predictor: Predictor, shards: Shar
     ranked = sorted(report.scenes, key=lambda result: -result.prediction.accuracy)
     chosen = {"best": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "worst": ranked[-1]}
     rows = {scene.id: row for row, scene in enumerate(shards.manifest.scenes)}
-    with whole_folder(out / "figures") as folder:
-        for name, result in chosen.items():
-            row = rows[result.scene]
-            prediction = predictor.predict(shards.complex_phasors([row])[0], shards.reference)
-            truth = DepthView(
-                join_components(np.moveaxis(shards.target[row], 0, -1))[..., 0],
-                shards.radial_depth_m[row],
-                shards.mask[row] > 0,
-            )
-            view = DepthView(prediction.phasor, prediction.radial_depth_m, prediction.mask)
-            title = f"{name} of {len(ranked)} {report.split} scenes: {result.scene}, {result.object_class}"
-            figure = comparison_figure(title, truth, view, result.prediction)
-            write_figure(folder / f"{name}.png", figure)
-        ours, nothing = [r.prediction for r in ranked], [r.no_object for r in ranked]
-        write_figure(folder / "accuracy_histogram.png", accuracy_histogram(ours, nothing, report.split))
+    folder = out / "figures"
+    folder.mkdir()
+    for name, result in chosen.items():
+        row = rows[result.scene]
+        prediction = predictor.predict(shards.complex_phasors([row])[0], shards.reference)
+        truth = DepthView(
+            join_components(np.moveaxis(shards.target[row], 0, -1))[..., 0],
+            shards.radial_depth_m[row],
+            shards.mask[row] > 0,
+        )
+        view = DepthView(prediction.phasor, prediction.radial_depth_m, prediction.mask)
+        title = f"{name} of {len(ranked)} {report.split} scenes: {result.scene}, {result.object_class}"
+        figure = comparison_figure(title, truth, view, result.prediction)
+        write_figure(folder / f"{name}.png", figure)
+    ours, nothing = [r.prediction for r in ranked], [r.no_object for r in ranked]
+    write_figure(folder / "accuracy_histogram.png", accuracy_histogram(ours, nothing, report.split))
 
 
 def _write_numbers(out: Path, report: Report, run: Path, dataset: Dataset, shards: Shards) -> None:

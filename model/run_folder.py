@@ -30,6 +30,7 @@ from scenegen import PresetError, whole_file, write_text
 from scenegen.preset import STRICT, WholeCount, checked
 
 RUN_SCHEMA: Final = 1
+CHECKPOINT_KEYS = frozenset({"network", "optimiser", "generator", "history"})
 
 
 class RunError(ValueError):
@@ -119,6 +120,17 @@ def read_config(folder: Path) -> RunConfig:
     return config
 
 
+def run_settings(folder: Path) -> dict[str, Any]:
+    """The settings of a run as plain data, as `settings_from_dict` takes them; what a resumed run needs.
+
+    Raises
+    ------
+    RunError : as of `read_config`.
+    """
+    settings: dict[str, Any] = TypeAdapter(TrainSettings).dump_python(read_config(folder).settings)
+    return settings
+
+
 def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
     """What keeps a run from being resumed under `now`, as a sentence; None when nothing does."""
     for field in fields(TrainSettings):
@@ -168,7 +180,7 @@ def fill(network: UNet, weights: Mapping[str, Tensor], file: Path) -> None:
 
 
 def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
-    """Write ``checkpoint.pt``: tensors, numbers and text only."""
+    """Write ``checkpoint.pt``: tensors, numbers and text only; `state` has the keys of CHECKPOINT_KEYS."""
     with whole_file(folder / "checkpoint.pt") as partial:
         torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
 
@@ -189,6 +201,9 @@ def load_checkpoint(folder: Path, device: torch.device) -> dict[str, Any] | None
         raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
     if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:
         raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: train again from the start")
+    missing = CHECKPOINT_KEYS - state.keys()
+    if missing:
+        raise RunError(f"{file} lacks {' and '.join(sorted(missing))}: train again from the start")
     return state
 
 

@@ -11,7 +11,8 @@ from pydantic.dataclasses import dataclass
 
 from model.augmentation import AugmentationName
 from model.inputs import Channels
-from model.loss import LossVariant
+from model.loss import LossVariant, NightLoss
+from model.readout import Readout
 from scenegen.preset import STRICT, Positive, WholeCount, checked
 
 DeviceName = Literal["auto", "cpu", "cuda"]
@@ -48,10 +49,10 @@ class TrainSettings:
 
     channels: Channels = "paper+residual"
     width: WholeCount = 32
-    loss: LossVariant = "components"
-    alpha: NotNegative = 1 / 7
-    mask_threshold: Positive = 0.5
-    dead_zone: NotNegative = 0.05
+    loss: LossVariant = NightLoss.variant
+    alpha: NotNegative = NightLoss.alpha
+    mask_threshold: Positive = Readout.mask_threshold
+    dead_zone: NotNegative = Readout.dead_zone
     learning_rate: Positive = 1e-4
     batch_size: WholeCount = 32
     max_epochs: WholeCount = 1500

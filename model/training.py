@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -37,7 +38,7 @@ from model.run_folder import (
 )
 from model.settings import TrainSettings, choose_device
 from model.shards import Shards, open_shards
-from scenegen import Dataset
+from scenegen import Dataset, is_partial
 
 PICTURE_EVERY = 10  # epochs between pictures in TensorBoard
 _log = logging.getLogger(__name__)
@@ -71,7 +72,7 @@ def train(dataset: Dataset, out: Path, settings: TrainSettings, *, resume: bool 
     DeviceError, ShardError, ImageFileError : no such device; renders that are missing or unusable.
     """
     device = choose_device(settings.device)
-    if not resume and out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if not resume and out.exists() and not _is_free(out):
         hint = "resume it (--resume)" if (out / "run.json").is_file() else "it is not empty"
         raise RunError(f"{out} exists already: {hint} or choose another folder")
     for split in ("train", "validation"):
@@ -86,12 +87,34 @@ def train(dataset: Dataset, out: Path, settings: TrainSettings, *, resume: bool 
     change = changed_setting(before, config) if before else None
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
-    training = _Training(config, shards, device)
-    checkpoint = load_checkpoint(out, device) if resume else None
-    if checkpoint:
-        training.restore(checkpoint, out / "checkpoint.pt")
-    write_config(out, config)
-    return training.run(out)
+    with _naming_memory(config):
+        training = _Training(config, shards, device)
+        checkpoint = load_checkpoint(out, device) if resume else None
+        if checkpoint:
+            training.restore(checkpoint, out / "checkpoint.pt")
+        write_config(out, config)
+        return training.run(out)
+
+
+def _is_free(out: Path) -> bool:
+    """Whether a new run may be written to `out`: an empty folder, but for what a killed process left."""
+    return out.is_dir() and all(is_partial(entry.name) for entry in out.iterdir())
+
+
+@contextmanager
+def _naming_memory(config: RunConfig) -> Iterator[None]:
+    """Turn PyTorch's and numpy's ways to run out of memory into one sentence."""
+    try:
+        yield
+    except (RuntimeError, MemoryError) as error:
+        # On the CPU, PyTorch has no exception of its own for this.
+        ours = isinstance(error, torch.OutOfMemoryError | MemoryError) or "alloc_cpu.cpp" in str(error)
+        if not ours:
+            raise
+        raise TrainingError(
+            f"out of memory with batch size {config.settings.batch_size} and width {config.settings.width} "
+            f"at {config.image_width}x{config.image_height} pixels: make the batch or the width smaller"
+        ) from None
 
 
 def _configure(shards: Shards, settings: TrainSettings) -> RunConfig:
@@ -229,11 +252,24 @@ class _Training:
         save_checkpoint(out, state)
 
     def restore(self, state: dict[str, Any], file: Path) -> None:
-        """Continue from a checkpoint."""
-        fill(self.network, state["network"], file)
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.generator.set_state(state["generator"].cpu())
-        self.history = [EpochRecord(**record) for record in state["history"]]
+        """Continue from a checkpoint; `RunError` when it is of another training."""
+        try:
+            fill(self.network, state["network"], file)
+            settings = set(self.optimiser.param_groups[0])
+            self.optimiser.load_state_dict(state["optimiser"])
+            self.generator.set_state(state["generator"].cpu())
+            self.history = [EpochRecord(**record) for record in state["history"]]
+            fits = settings <= set(self.optimiser.param_groups[0]) and all(
+                self.optimiser.state[parameter][moment].shape == parameter.shape
+                for parameter in self.network.parameters()
+                for moment in ("exp_avg", "exp_avg_sq")
+            )
+        except RunError:
+            raise
+        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError):
+            fits = False
+        if not (fits and self.history):
+            raise RunError(f"{file} does not hold the state of this training: train again from the start")
 
     def report(self, writer: SummaryWriter, record: EpochRecord) -> None:
         """Scalars of every epoch, and now and then the first validation scene: truth above prediction."""

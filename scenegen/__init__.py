@@ -17,7 +17,7 @@ from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, PresetError, load_preset, preset_from_dict, read_settings
 from scenegen.sampling import SamplingError, leaks, sample_scene, sample_valid_scene
 from scenegen.scene import Camera, Scene, Split, scene_from_json, scene_id, scene_to_json
-from scenegen.whole_files import whole_file, whole_folder, write_text
+from scenegen.whole_files import is_partial, whole_file, whole_folder, write_text
 
 __all__ = [
     "Camera",
@@ -32,6 +32,7 @@ __all__ = [
     "Split",
     "build_index",
     "camera_axes",
+    "is_partial",
     "leaks",
     "load_preset",
     "open_dataset",

@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+# m/s, exact; itof has it too, but these two packages import nothing of each other (a test compares them).
+SPEED_OF_LIGHT = 299_792_458.0
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 Shape = Literal["cube", "cylinder", "sphere", "cone", "concave_plane", "parallelepiped"]
@@ -18,11 +20,17 @@ Material = Literal["rough", "diffuse"]
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
-Extent = tuple[Positive, Positive, Positive]
+Metres = Annotated[float, Field(ge=-1000, le=1000)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+Length = Annotated[float, Field(ge=1e-4, le=1000)]  # metres; thinner things vanish in float32 coordinates
+Extent = tuple[Length, Length, Length]
+Location = tuple[Metres, Metres, Metres]
+Rotation = tuple[Degrees, Degrees, Degrees]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Roughness = Annotated[float, Field(gt=0, le=1)]
-FieldOfView = Annotated[float, Field(gt=0, lt=180)]
+FieldOfView = Annotated[float, Field(ge=1, le=170)]
 WholeCount = Annotated[int, Field(ge=1)]
+MAX_SCANLINE_VALUES = 2**31  # OpenEXR counts a scanline's values (image width x bins) in 32 bits
 
 
 class PresetError(ValueError):
@@ -35,7 +43,8 @@ def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-Range = Annotated[tuple[float, float], AfterValidator(_ascending)]
+MetreRange = Annotated[tuple[Metres, Metres], AfterValidator(_ascending)]
+DegreeRange = Annotated[tuple[Degrees, Degrees], AfterValidator(_ascending)]
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -48,7 +57,7 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
 class DatasetSettings:
     """How many scenes, from which seed, split how (fractions of all, and of what remains)."""
 
-    count: WholeCount = 1344
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = 1344  # ids have six digits
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     test_fraction: Fraction = 0.2
     validation_fraction: Fraction = 0.2
@@ -58,18 +67,18 @@ class DatasetSettings:
 class LocationRanges:
     """Where the hidden object's centre may lie, metres, per world axis."""
 
-    x: Range = (1.0, 1.3)
-    y: Range = (0.5, 1.3)
-    z: Range = (1.25, 1.95)
+    x: MetreRange = (1.0, 1.3)
+    y: MetreRange = (0.5, 1.3)
+    z: MetreRange = (1.25, 1.95)
 
 
 @dataclass(frozen=True, config=STRICT)
 class RotationRanges:
     """XYZ Euler angles of the hidden object, degrees."""
 
-    x: Range = (-90.0, 90.0)
-    y: Range = (-90.0, 90.0)
-    z: Range = (-90.0, 90.0)
+    x: DegreeRange = (-90.0, 90.0)
+    y: DegreeRange = (-90.0, 90.0)
+    z: DegreeRange = (-90.0, 90.0)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -108,8 +117,8 @@ class HiddenObjectSettings:
     composite_fraction: Fraction = 0.142857
     location_m: LocationRanges = LocationRanges()
     rotation_deg: RotationRanges = RotationRanges()
-    composite_offset_m: Range = (-0.12, 0.15)
-    composite_rotation_deg: Range = (-45.0, 45.0)
+    composite_offset_m: MetreRange = (-0.12, 0.15)
+    composite_rotation_deg: DegreeRange = (-45.0, 45.0)
     size_m: ShapeSizes = ShapeSizes()
     reflectance: Reflectance = 1.0
 
@@ -124,38 +133,38 @@ class RelayWallSettings:
         *(0.70, 0.75, 0.80, 0.85, 0.90, 0.95, 1.00),
     )
     reflectance: Reflectance = 1.0
-    size_m: tuple[Positive, Positive] = (4.0, 8.0)
-    location_m: Vector = (0.0, 0.0, 2.0)
-    rotation_deg: Vector = (0.0, 90.0, 0.0)
+    size_m: tuple[Length, Length] = (4.0, 8.0)
+    location_m: Location = (0.0, 0.0, 2.0)
+    rotation_deg: Rotation = (0.0, 90.0, 0.0)
 
 
 @dataclass(frozen=True, config=STRICT)
 class MiddleWallSettings:
     """The black wall that hides the object from the camera."""
 
-    size_m: tuple[Positive, Positive] = (3.3, 4.0)
-    location_m: Vector = (2.35, 0.0, 2.0)
-    rotation_deg: Vector = (90.0, 0.0, 0.0)
+    size_m: tuple[Length, Length] = (3.3, 4.0)
+    location_m: Location = (2.35, 0.0, 2.0)
+    rotation_deg: Rotation = (90.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, config=STRICT)
 class CameraSettings:
     """Detector and, at the same place with the same frustum, the projector (Blender camera axes)."""
 
-    width: WholeCount = 320
-    height: WholeCount = 240
+    width: Annotated[int, Field(ge=1, le=100_000)] = 320
+    height: Annotated[int, Field(ge=1, le=100_000)] = 240
     horizontal_fov_deg: FieldOfView = 60.0
-    location_m: Vector = (1.0, -1.0, 1.65)
-    rotation_deg: Vector = (90.0, 0.0, 50.0)
+    location_m: Location = (1.0, -1.0, 1.65)
+    rotation_deg: Rotation = (90.0, 0.0, 50.0)
 
 
 @dataclass(frozen=True, config=STRICT)
 class TransientSettings:
     """Time axis in optical path length, and how many surfaces light may meet."""
 
-    bin_count: WholeCount = 2000
-    bin_width_m: Positive = 0.01
-    start_opl_m: Annotated[float, Field(ge=0)] = 0.0
+    bin_count: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
+    bin_width_m: Length = 0.01
+    start_opl_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
     max_bounces: Annotated[int, Field(ge=1, le=64)] = 3
 
 
@@ -163,11 +172,9 @@ class TransientSettings:
 class ItofSettings:
     """Modulation frequencies of the camera, Hz, lowest first."""
 
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1), AfterValidator(_distinct)] = (
-        20e6,
-        50e6,
-        60e6,
-    )
+    frequencies_hz: Annotated[
+        tuple[Annotated[float, Field(ge=1)], ...], Field(min_length=1), AfterValidator(_distinct)
+    ] = (20e6, 50e6, 60e6)
 
     def __post_init__(self) -> None:
         if list(self.frequencies_hz) != sorted(self.frequencies_hz):
@@ -191,6 +198,20 @@ class Preset:
             raise ValueError(
                 "hidden_object.composite_fraction needs two different shapes to combine: "
                 "list a second shape or set it to 0"
+            )
+        width, bins = self.camera.width, self.transient.bin_count
+        if width * bins >= MAX_SCANLINE_VALUES:
+            raise ValueError(
+                f"camera.width times transient.bin_count must stay below {MAX_SCANLINE_VALUES}, the longest "
+                f"scanline of an EXR file: got {width} times {bins}"
+            )
+        limit_hz = SPEED_OF_LIGHT / (2 * self.transient.bin_width_m)  # Nyquist: two bins to a period
+        fastest_hz = max(self.itof.frequencies_hz)
+        if fastest_hz >= limit_hz:
+            raise ValueError(
+                f"itof.frequencies_hz must stay below {limit_hz / 1e6:g} MHz, where a bin of "
+                f"transient.bin_width_m = {self.transient.bin_width_m:g} is half a period: "
+                f"got {fastest_hz / 1e6:g} MHz"
             )
 
 

@@ -1,5 +1,7 @@
 """Pinhole geometry, the direct return, and the network channels with their inverse."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,21 @@ def test_the_direct_return_of_a_facing_wall_has_its_closed_form():
     # Facing wall at distance h: r = h / cos o and cos a = cos o, so L = cos o / (r^2 cos^3 o) = 1 / h^2.
     z = direct_phasors(8, 6, 60.0, [1.0], FACING_THE_WALL, (0, 0, 0), (0, 0, 1.5), (0, 0, -1))
     np.testing.assert_allclose(np.abs(z), 1 / 1.5**2, rtol=1e-9)
+
+
+def test_the_direct_return_of_a_large_image_is_made_in_blocks_of_rows():
+    width, height, subpixels = 64, 256, 8  # 2^20 rays: 8 MB for each number of a ray
+    tracemalloc.start()
+    z = direct_phasors(width, height, 60.0, [1.0], FACING_THE_WALL, (0, 0, 0), (0, 0, 1.5), (0, 0, -1))
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert z.shape == (height, width, 1)
+    np.testing.assert_allclose(np.abs(z), 1 / 1.5**2, rtol=1e-9)
+    assert peak_bytes < 8 * width * height * subpixels**2 * 6  # all rays at once are 3, their phasors 2 more
+
+
+def test_rays_of_some_rows_are_those_of_the_whole_image():
+    np.testing.assert_array_equal(pixel_rays(8, 6, 60.0, rows=(2, 5)), pixel_rays(8, 6, 60.0)[2:5])
 
 
 def test_the_phase_of_the_direct_return_is_that_of_twice_the_distance():

@@ -6,6 +6,7 @@ import pytest
 
 from itof import (
     ImageFileError,
+    MeasurementMatrix,
     TransientLayout,
     TransientReader,
     TransientWriter,
@@ -61,6 +62,41 @@ def test_phasors_keep_their_frequencies_and_values(tmp_path):
     back, frequencies_hz = image.phasors()
     assert frequencies_hz == (20e6, 60e6, 62.5e6)
     np.testing.assert_array_equal(back, z[..., [0, 2, 1]])
+
+
+def test_any_frequency_comes_back_exactly(tmp_path):
+    drawn = np.random.default_rng(2).uniform(1e6, 100e6, 300)
+    frequencies_hz = sorted([20e6, 62.5e6, 1e6, 1e6 + 1e-9, *drawn.tolist()])
+    labels = "".join(phasor_channels(np.zeros((1, 1, len(frequencies_hz))), frequencies_hz))
+    assert "itof.20MHz.Re" in labels
+    assert "itof.62.5MHz.Im" in labels
+    z = np.arange(len(frequencies_hz), dtype=np.complex64)[None, None]
+    write_image(tmp_path / "many.exr", phasor_channels(z, frequencies_hz), {})
+    back, found_hz = read_image(tmp_path / "many.exr").phasors()
+    assert found_hz == tuple(frequencies_hz)
+    np.testing.assert_array_equal(back, z)
+
+
+def test_a_path_may_be_text(tmp_path, cube):
+    name = str(tmp_path / "a.exr")
+    with TransientWriter(name, LAYOUT, {}) as writer:
+        writer.write_rows(cube)
+    with TransientReader(name) as reader:
+        np.testing.assert_array_equal(reader.read_rows(0, 7), cube)
+    write_image(name, {"Y": cube[..., 0]}, {})
+    np.testing.assert_array_equal(read_image(name).channel("Y"), cube[..., 0])
+    with pytest.raises(ImageFileError, match="does not exist"):
+        TransientReader(str(tmp_path / "nowhere.exr"))
+
+
+def test_a_file_that_says_tent_has_the_tent_divided_out(tmp_path):
+    cube = np.random.default_rng(1).random((7, 5, 11), dtype=np.float32)
+    for splat in ("tent", "point"):
+        with TransientWriter(tmp_path / f"{splat}.exr", LAYOUT, {"splat": splat}) as writer:
+            writer.write_rows(cube)
+        with TransientReader(tmp_path / f"{splat}.exr") as reader:
+            expected = MeasurementMatrix((60e6,), 11, 0.01, 0.3, splat=splat).apply(cube)
+            np.testing.assert_allclose(reader.phasors([60e6]), expected, rtol=1e-12)
 
 
 def test_strided_channels_are_stored_as_they_look(tmp_path):

@@ -50,6 +50,26 @@ def test_a_tent_splat_between_two_bins_has_the_phase_of_the_return():
     assert np.all(np.abs(z - exact) <= bound * 1.001)
 
 
+@pytest.mark.parametrize("frequency_hz", FREQUENCIES_HZ)
+def test_the_tent_matrix_undoes_the_splat_of_a_box_pulse(frequency_hz):
+    # Light spread evenly from bin centre 100 to 140, split linearly: each bin gets 1, the outermost 1/2.
+    # Its phasor is the pulse's times x cot x = 1 - x^2/3 - x^4/45 with x = kw/2, and the tent's transfer
+    # function is sinc^2 x = 1 - x^2/3 + 2x^4/45: they differ by x^4/15 = (kw)^4 / 240, 1e-10 at 60 MHz.
+    width_m, first, last = 0.01, 100, 140
+    transient = np.zeros(500)
+    transient[first : last + 1] = 1
+    transient[[first, last]] = 0.5
+    k = 2 * np.pi * frequency_hz / SPEED_OF_LIGHT
+    ends_m = (np.array([first, last]) + 0.5) * width_m
+    exact = np.diff(np.exp(1j * k * ends_m))[0] / (1j * k * width_m)  # integral over the pulse, per bin
+    error = {
+        splat: MeasurementMatrix((frequency_hz,), 500, width_m, splat=splat).apply(transient)[0] / exact - 1
+        for splat in ("point", "tent")
+    }
+    assert abs(error["tent"]) < 1.01 * (k * width_m) ** 4 / 240 + 1e-13
+    assert error["point"] == pytest.approx(-((k * width_m) ** 2) / 12, abs=(k * width_m) ** 4)
+
+
 def test_streaming_over_row_blocks_equals_the_whole_cube():
     rng = np.random.default_rng(3)
     cube = rng.random((7, 5, 60), dtype=np.float32)
@@ -87,6 +107,16 @@ def test_three_frequencies_unwrap_to_14_99_m():
     depth_m = np.linspace(0.01, 14.9, 331).reshape(331, 1)
     phi = phase(phasor_of_return(depth_m[..., None], np.array(FREQUENCIES_HZ)))
     np.testing.assert_allclose(unwrap_depth(phi, FREQUENCIES_HZ), depth_m, atol=1e-8)
+
+
+def test_nearly_coprime_frequencies_are_searched_to_100_m_only():
+    frequencies_hz = (50e6, 50e6 + 1)  # repeat together after 150 000 km: 5e7 turns would take minutes
+    depth_m = np.array([0.5, 2.5])
+    phi = phase(phasor_of_return(depth_m[:, None], np.array(frequencies_hz)))
+    phi[:, 1] += 1e-3  # noise, which a search without a limit would explain by a far depth
+    found_m = unwrap_depth(phi, frequencies_hz)
+    assert np.all(found_m < 101)
+    assert combined_range_m(frequencies_hz) > 1e8
 
 
 def test_unwrapping_averages_phase_noise_with_the_weight_of_each_frequency():

@@ -4,6 +4,7 @@ import csv
 import json
 import logging
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ import trimesh
 from safetensors.torch import load_file, save_file
 from synthetic_dataset import write_synthetic_dataset
 
-from itof import pixel_rays
+from itof import phasor_of_return, pixel_rays
 from model import (
     DeviceError,
     EvaluationError,
+    NightLoss,
+    Readout,
     RunError,
     TrainingError,
     TrainSettings,
@@ -23,8 +26,11 @@ from model import (
     evaluate,
     load_run,
     open_shards,
+    run_settings,
+    settings_from_dict,
     train,
 )
+from scenegen.whole_files import HOST
 
 QUICK = {
     "width": 2,
@@ -254,6 +260,77 @@ def test_a_damaged_checkpoint_cannot_be_resumed(dataset, run):
         train(dataset, run, settings(), resume=True)
 
 
+@pytest.mark.parametrize("missing", ["network", "optimiser", "generator", "history"])
+def test_a_checkpoint_without_one_of_its_parts_cannot_be_resumed(dataset, run, missing):
+    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    del state[missing]
+    torch.save(state, run / "checkpoint.pt")
+    with pytest.raises(RunError, match=rf"checkpoint.pt lacks {missing}"):
+        train(dataset, run, settings(max_epochs=3), resume=True)
+
+
+def foreign_states():
+    other = torch.nn.Linear(2, 3)
+    for optimiser in (torch.optim.Adam(other.parameters()), torch.optim.SGD(other.parameters(), lr=0.1)):
+        yield "optimiser", optimiser.state_dict()
+    yield "optimiser", [1, 2]
+    yield "generator", torch.zeros(3)
+    yield "network", [1, 2]
+    yield "history", [{"epoch": 1}]
+    yield "history", []
+
+
+@pytest.mark.parametrize(("part", "foreign"), list(foreign_states()))
+def test_a_checkpoint_with_a_foreign_part_cannot_be_resumed(dataset, run, part, foreign):
+    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    torch.save(state | {part: foreign}, run / "checkpoint.pt")
+    with pytest.raises(RunError, match=r"checkpoint.pt does not hold the state of this training"):
+        train(dataset, run, settings(max_epochs=3), resume=True)
+
+
+@pytest.mark.parametrize("spoil", ["no moments", "other shapes"])
+def test_an_optimiser_state_of_other_weights_cannot_be_resumed(dataset, run, spoil):
+    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    if spoil == "no moments":
+        state["optimiser"]["state"] = {}
+    else:
+        state["optimiser"]["state"][0]["exp_avg"] = torch.zeros(5)
+    torch.save(state, run / "checkpoint.pt")
+    with pytest.raises(RunError, match=r"checkpoint.pt does not hold the state of this training"):
+        train(dataset, run, settings(max_epochs=3), resume=True)
+
+
+def test_the_settings_of_a_run_resume_it(dataset, run, finished_run):
+    stored = run_settings(run)
+    assert stored["batch_size"] == 3
+    assert settings_from_dict(stored, "run.json") == settings()
+    longer = settings_from_dict(stored | {"max_epochs": 3}, "run.json")
+    assert train(dataset, run, longer, resume=True).epochs == 3
+    with pytest.raises(RunError, match="is no training run"):
+        run_settings(finished_run.parent)
+
+
+def test_a_new_run_may_begin_where_a_killed_one_left_only_a_temporary_file(dataset, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / f".run.json.{HOST}-999999999.partial").write_text("{")
+    train(dataset, tmp_path / "run", settings(max_epochs=1))
+    assert not (tmp_path / "run" / f".run.json.{HOST}-999999999.partial").exists()
+
+
+def test_running_out_of_memory_names_what_to_make_smaller(dataset, tmp_path):
+    def need_a_petabyte(*_: object) -> None:
+        torch.empty(2**50)
+
+    handle = torch.nn.modules.module.register_module_forward_pre_hook(need_a_petabyte)
+    try:
+        with pytest.raises(
+            TrainingError, match="out of memory with batch size 3 and width 2 at 24x14 pixels"
+        ):
+            train(dataset, tmp_path / "run", settings())
+    finally:
+        handle.remove()
+
+
 def test_training_and_evaluation_end_to_end_beat_no_object(tmp_path):
     dataset = write_synthetic_dataset(tmp_path / "data", count=48)
     learning = {"width": 6, "batch_size": 4, "max_epochs": 3, "learning_rate": 2e-3, "augmentations": "flip"}
@@ -261,8 +338,9 @@ def test_training_and_evaluation_end_to_end_beat_no_object(tmp_path):
     assert result.epochs == 3
     report = evaluate(tmp_path / "run", dataset, tmp_path / "report", device="cpu", progress=False)
     assert len(report.scenes) == len(dataset.ids("test"))
-    # Three epochs do not make good depth, but the overlap must be clearly better than that of nothing at all.
-    assert report.prediction.miou.mean > report.no_object.miou.mean + 0.05
+    # Three epochs do not make good depth, but masks better than none by three standard errors of the mean.
+    gain = np.array([scene.prediction.miou - scene.no_object.miou for scene in report.scenes])
+    assert gain.mean() > 3 * gain.std(ddof=1) / np.sqrt(len(gain))
 
     written = json.loads((tmp_path / "report" / "metrics.json").read_text())
     assert written["prediction"]["miou"]["mean"] == report.prediction.miou.mean
@@ -302,6 +380,22 @@ def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(dat
     assert clouds == {f"{scene}_gt.ply" for scene in dataset.ids("test")}
 
 
+def best_constant_loss(dataset, loss) -> float:
+    """Loss on the training scenes of the best output that is the same everywhere: nothing was seen."""
+    shards = open_shards(dataset)
+    rows = shards.rows("train")
+    truth = [
+        torch.from_numpy(np.array(array[rows]))
+        for array in (shards.target, shards.radial_depth_m, shards.mask)
+    ]
+    outputs = [
+        torch.tensor([z.real, z.imag], dtype=torch.float32)[:, None, None].expand(truth[0].shape)
+        for amplitude in np.linspace(0, 1, 11)
+        for z in amplitude * phasor_of_return(np.linspace(0, 7.4, 38), 20e6)
+    ]
+    return min(float(loss(output, *truth)) for output in outputs)
+
+
 @pytest.mark.parametrize(
     "change", [{"loss": "depth"}, {"channels": "paper"}, {"channels": "residual"}, {"augmentations": "none"}]
 )
@@ -310,7 +404,7 @@ def test_every_choice_learns_on_closed_form_scenes(dataset, tmp_path, change):
     train(dataset, tmp_path / "run", settings(**(learning | change)))
     with (tmp_path / "run" / "history.csv").open() as stream:
         losses = [float(line["train_loss"]) for line in csv.DictReader(stream)]
-    assert losses[-1] < 0.8 * losses[0]  # between 0.5 and 0.7 of it with any of three seeds
+    assert losses[-1] < best_constant_loss(dataset, NightLoss(Readout(20e6), settings(**change).loss))
 
 
 def test_evaluation_without_a_test_split_says_which_there_are(finished_run, tmp_path):
@@ -318,6 +412,49 @@ def test_evaluation_without_a_test_split_says_which_there_are(finished_run, tmp_
     dataset = write_synthetic_dataset(tmp_path / "data", count=4, dataset=tables)
     with pytest.raises(EvaluationError, match="has no test split: its 4 scenes are train and validation"):
         evaluate(finished_run, dataset, tmp_path / "report", device="cpu", progress=False)
+
+
+@pytest.mark.parametrize("kind", ["run", "dataset", "foreign", "report with notes"])
+def test_a_report_replaces_nothing_but_an_earlier_report(dataset, run, tmp_path, kind):
+    foreign = tmp_path / "foreign"
+    (foreign / "figures").mkdir(parents=True)
+    (foreign / "figures" / "thesis.txt").write_text("years of work")
+    if kind == "report with notes":
+        evaluate(run, dataset, tmp_path / "report", device="cpu", progress=False)
+        (tmp_path / "report" / "notes.txt").write_text("mine")
+    out = {"run": run, "dataset": dataset.root, "foreign": foreign}.get(kind, tmp_path / "report")
+    before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
+    # The run is looked at later: nothing was done yet.
+    with pytest.raises(EvaluationError, match="holds other things than an earlier report"):
+        evaluate(tmp_path / "no run", dataset, out, device="cpu", progress=False)
+    assert {file: file.read_bytes() for file in out.rglob("*") if file.is_file()} == before
+
+
+def test_a_report_does_not_replace_a_file_and_takes_an_empty_folder(dataset, run, tmp_path, monkeypatch):
+    (tmp_path / "notes").write_text("mine")
+    with pytest.raises(EvaluationError, match="notes is a file"):
+        evaluate(run, dataset, tmp_path / "notes", device="cpu", progress=False)
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    evaluate(run, dataset, Path(), device="cpu", progress=False)
+    assert (tmp_path / "empty" / "metrics.json").is_file()
+
+
+def test_an_interrupted_evaluation_leaves_the_earlier_report_as_it_was(dataset, run, tmp_path):
+    evaluate(run, dataset, tmp_path / "report", device="cpu", progress=False)
+    before = {f: f.read_bytes() for f in (tmp_path / "report").rglob("*") if f.is_file()}
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    handle = torch.nn.modules.module.register_module_forward_hook(interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            evaluate(run, dataset, tmp_path / "report", split="train", device="cpu", progress=False)
+    finally:
+        handle.remove()
+    assert {f: f.read_bytes() for f in (tmp_path / "report").rglob("*") if f.is_file()} == before
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["report", "run"]
 
 
 def test_evaluation_at_another_resolution_or_frequency_is_refused(finished_run, tmp_path):

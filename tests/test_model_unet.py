@@ -74,8 +74,6 @@ def test_the_network_overfits_one_batch():
         value = loss(network(channels), target, depth_m, mask)
         value.backward()
         optimiser.step()
-    output = network(channels).detach()
-    # Half a percent of the pixels may still be wrong: object IoU of at least 0.9 on about 40 pixels.
-    hit = (loss.readout.mask(output) * mask).sum() / torch.maximum(loss.readout.mask(output), mask).sum()
-    assert hit > 0.9
-    assert float(value.detach()) < 0.1
+    # Learnt by heart: nearer to the truth than the truth itself is when it lies one pixel off.
+    one_off = [target.roll(step, dim) for step in (1, -1) for dim in (2, 3)]
+    assert float(value.detach()) < min(float(loss(output, target, depth_m, mask)) for output in one_off)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenegen import camera_axes, preset_from_dict, sample_scene, scene_id, wall_normal
+from scenegen import DatasetError, camera_axes, preset_from_dict, sample_scene, scene_id, wall_normal
 from scenegen.generation import generate
+from scenegen.whole_files import HOST
 
 
 def folder_digest(root: Path) -> dict[str, str]:
@@ -161,9 +162,44 @@ def test_same_seed_same_bytes_and_interrupted_work_goes_on(maker, tmp_path):
     with pytest.raises(StopHereError):
         generate(tmp_path / "resumed", preset, maker, stop_after_three)
     assert not (tmp_path / "resumed" / "dataset.json").exists()
-    (tmp_path / "resumed" / "scenes" / scene_id(1) / "scene.json").write_text("{}")
+    (tmp_path / "resumed" / f".dataset.json.{HOST}-999999999.partial").write_text(
+        "{"
+    )  # killed while writing it
     generate(tmp_path / "resumed", preset, maker, lambda: None)
     assert folder_digest(tmp_path / "resumed") == expected
+
+
+def test_making_a_dataset_again_mends_its_scenes(maker, tmp_path):
+    preset = preset_from_dict({"dataset": {"count": 4, "seed": 5}}, "four")
+    generate(tmp_path, preset, maker, lambda: None)
+    expected = folder_digest(tmp_path)
+    scenes = tmp_path / "scenes"
+    (scenes / scene_id(0) / "scene.json").write_text("{}")
+    (scenes / scene_id(1) / "scene.xml").unlink()
+    (scenes / scene_id(2) / "hidden_object_0.ply").write_bytes(b"")
+    (scenes / scene_id(3) / "notes.txt").write_text("mine")
+    generate(tmp_path, preset, maker, lambda: None)
+    assert folder_digest(tmp_path) == expected
+
+
+def test_scenes_of_an_interrupted_larger_run_are_removed_and_foreign_ones_refused(maker, tmp_path):
+    preset = preset_from_dict({"dataset": {"count": 2, "seed": 5}}, "two")
+    generate(tmp_path, preset, maker, lambda: None)
+    expected = folder_digest(tmp_path)
+    (tmp_path / "dataset.json").unlink()
+    for name in (scene_id(2), scene_id(7), f".{scene_id(8)}.{HOST}-999999999.partial"):
+        (tmp_path / "scenes" / name).mkdir()
+        (tmp_path / "scenes" / name / "scene.json").write_text("{}")
+    (tmp_path / "scenes" / "holiday").mkdir()
+    with pytest.raises(DatasetError, match=r"holiday is none of the dataset's scenes"):
+        generate(tmp_path, preset, maker, lambda: None)
+    assert (tmp_path / "scenes" / scene_id(7)).exists()
+    (tmp_path / "scenes" / "holiday").rmdir()
+    generate(tmp_path, preset, maker, lambda: None)
+    assert folder_digest(tmp_path) == expected
+    (tmp_path / "scenes" / scene_id(7)).mkdir()  # beside a finished dataset nothing explains it
+    with pytest.raises(DatasetError, match=rf"{scene_id(7)} is none of the dataset's scenes"):
+        generate(tmp_path, preset, maker, lambda: None)
 
 
 def test_another_process_writes_the_same_bytes(maker, tmp_path):
