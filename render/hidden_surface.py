@@ -105,7 +105,7 @@ def sample_surface(
     seed : of the scrambling.
     density : (S,) relative density of points in S stretches of equal area along the curve, above 0.
     """
-    sample = qmc.Sobol(6, scramble=True, rng=np.random.default_rng(seed)).random(count)
+    sample = sobol_points(6, count, seed)
     total = surface.areas.sum()
     share = density / density.sum()
     edges = np.concatenate([[0.0], np.cumsum(share)])
@@ -121,6 +121,12 @@ def spread_evenly(surface: HiddenSurface, count: int) -> SurfacePoints:
     along = (np.arange(count) + 0.5) / count * total
     rolling = np.arange(count)[:, None] * np.sqrt([2, 3, 5, 7, 11]) % 1  # irrational: neighbours lie apart
     return _place(surface, along, rolling[:, 0], np.full(count, total / count), rolling[:, 1:])
+
+
+def sobol_points(dimensions: int, count: int, seed: int) -> NDArray[np.float64]:
+    """(count, dimensions) first points of a scrambled Sobol sequence, in [0, 1)."""
+    powers = max(count - 1, 0).bit_length()  # the sequence is made for powers of two, and used from its start
+    return qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random_base2(powers)[:count]
 
 
 def _place(

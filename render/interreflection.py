@@ -34,7 +34,7 @@ def reflected_arrivals(
     import drjit as dr
     import mitsuba as mi
 
-    from render.kernels import upload_points
+    from render.kernels import on_shapes, upload_points
 
     rays = 2 * _RAYS  # both sides of a point, not a path length
     count = dr.opaque(mi.UInt32, rays)
@@ -55,9 +55,7 @@ def reflected_arrivals(
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         travelled += dr.select(active, si.t, 0)
-        on_object = dr.zeros(mi.Bool, dr.width(lane))
-        for shape in hidden_shapes(scene):
-            on_object |= si.shape == mi.ShapePtr(shape)
+        on_object = on_shapes(si, hidden_shapes(scene))
         for emitter in scene.emitters():
             radiance, opl = _over_the_wall(scene, emitter, si, random, active & on_object)
             found.append((side * throughput * radiance, opl + travelled))

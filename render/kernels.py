@@ -35,6 +35,20 @@ def upload_points(values: NDArray[np.floating]) -> mi.Point3f:
     return mi.Point3f(*(upload(column) for column in np.asarray(values).T))
 
 
+def on_shapes(si: mi.SurfaceInteraction3f | mi.PreliminaryIntersection3f, shapes: list[mi.Shape]) -> mi.Bool:
+    """Whether a ray met one of `shapes`.
+
+    Compared by opaque registry numbers: `si.shape == mi.ShapePtr(shape)` would write the number into the
+    kernel, and it differs from scene to scene.
+    """
+    met = dr.reinterpret_array(mi.UInt32, si.shape)
+    found = dr.zeros(mi.Bool, dr.width(met))
+    for shape in shapes:
+        number = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))
+        found |= met == dr.opaque(mi.UInt32, int(number[0]))
+    return found & si.is_valid()
+
+
 def camera_hits(scene: mi.Scene, x: mi.Float, y: mi.Float) -> mi.SurfaceInteraction3f:
     """First surfaces behind film positions (x, y in [0, 1]); `t` counts from the pinhole."""
     sensor = scene.sensors()[0]

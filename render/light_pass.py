@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from itof import phase_per_metre
 from render.hidden_surface import (
@@ -20,6 +19,7 @@ from render.hidden_surface import (
     HiddenSurfaceError,
     SurfacePoints,
     sample_surface,
+    sobol_points,
     spread_evenly,
 )
 
@@ -87,12 +87,13 @@ def light_density(scene: mi.Scene, surface: HiddenSurface, seed: int) -> NDArray
     """
     pilot = spread_evenly(surface, _STRETCHES * _PILOT_POINTS)
     lit = np.abs(_arrivals(scene, pilot, _PILOT_WALL_POINTS, seed)[0]).sum(axis=1)
-    density = (lit * pilot.reflectance).reshape(_STRETCHES, _PILOT_POINTS).mean(axis=1)
-    if not density.any():
+    if not lit.any():
         raise HiddenSurfaceError(
             "no hidden object can be seen from the lit wall: move it, or leave it out of the scene"
         )
-    return (1 - _FLOOR) * density / density.mean() + _FLOOR
+    density = (lit * pilot.reflectance).reshape(_STRETCHES, _PILOT_POINTS).mean(axis=1)
+    mean = density.mean()
+    return (1 - _FLOOR) * density / (mean if mean > 0 else 1.0) + _FLOOR
 
 
 def make_lights(
@@ -182,8 +183,7 @@ def emitted_rays(
 
     from render.kernels import upload
 
-    sobol = qmc.Sobol(4, scramble=True, rng=np.random.default_rng(seed)).random(count)
-    u = [dr.gather(mi.Float, upload(column), sample) for column in sobol.T]
+    u = [dr.gather(mi.Float, upload(column), sample) for column in sobol_points(4, count, seed).T]
     u = [value + move for value, move in zip(u, shift, strict=True)] if shift else u
     u = [dr.minimum(value - dr.floor(value), 1 - 2**-24) for value in u]
     ray, weight = emitter.sample_ray(0.0, 0.0, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
@@ -193,6 +193,7 @@ def emitted_rays(
 def _two_sided(points: SurfacePoints, irradiance: NDArray[np.float64], opl_m: NDArray[np.float64]) -> Lights:
     """Front arrivals are positive, back arrivals negative: split them into lights of one side each."""
     scale = (points.area * points.reflectance / np.pi)[:, None]  # Lambert: intensity = area ρ E / π
+    irradiance = np.where(scale > 0, irradiance, 0.0)  # a black surface is no light
     sides = [np.clip(irradiance, 0, None), np.clip(-irradiance, 0, None)]
     kept = [side.sum(axis=1) > 0 for side in sides]
     return Lights(

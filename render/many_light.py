@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 _FEWEST_WALL_POINTS, _MOST_WALL_POINTS = 32, 256  # that each light sees, each another set of them
 _LIGHT_PATHS = 2**18  # lights times wall points
 _DIRECT_RULE = gauss_rule(4)
-_DIRECT_CELLS = 16  # per pixel and axis, in a transient: neighbouring returns are closer than a bin
+# Cells of the direct return per image width in a transient, and their bounds per pixel and axis: their error
+# must stay small against a hidden signal of 3e-4 in coarse pixels too.
+_DIRECT_CELLS, _FEWEST_CELLS, _MOST_CELLS = 2560, 16, 64
 _PACKETS = 16  # of a light's arrivals, in a transient
 _PILOT = Grid(16, 12)
 _PILOT_RUNS = 4
@@ -152,7 +154,7 @@ class ManyLightExposure:
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Time-resolved image rows, direct and hidden together, tent-splatted."""
         layout = self.view.layout
-        rule = midpoint_rule(_DIRECT_CELLS)
+        rule = midpoint_rule(min(max(_DIRECT_CELLS // layout.width, _FEWEST_CELLS), _MOST_CELLS))
         step = min(layout.rows_per_block, max(1, 2**22 // (layout.width * rule.count)))
         for start in range(0, layout.height, step):
             rows = (start, min(start + step, layout.height))

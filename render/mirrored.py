@@ -41,17 +41,16 @@ def trace_ground_truth(mirrored_scene: mi.Scene, width: int, height: int) -> Gro
     import drjit as dr
     import mitsuba as mi
 
+    from render.kernels import on_shapes
+
     sensor = mirrored_scene.sensors()[0]
     index = dr.arange(mi.UInt32, width * height)
     centre = mi.Point2f((index % width + 0.5) / width, (index // width + 0.5) / height)
     ray, _ = sensor.sample_ray(0.0, 0.0, centre, mi.Point2f(0.5))
     ray.o = sensor.world_transform().translation()  # Mitsuba starts at the near clip plane
     hit = mirrored_scene.ray_intersect_preliminary(ray)
-    on_object = dr.zeros(mi.Bool, width * height)
-    for shape in mirrored_scene.shapes():
-        if shape.id().startswith("mirrored_"):
-            on_object |= hit.shape == mi.ShapePtr(shape)
-    on_object &= hit.is_valid()
+    shapes = [shape for shape in mirrored_scene.shapes() if shape.id().startswith("mirrored_")]
+    on_object = on_shapes(hit, shapes)
     depth = dr.select(on_object, hit.t, 0.0)
     dr.eval(depth, on_object)
     return GroundTruth(

@@ -58,10 +58,6 @@ def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
 
 
 def _meets_hidden(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> NDArray[np.bool_]:
-    import drjit as dr
-    import mitsuba as mi
+    from render.kernels import on_shapes
 
-    met = dr.zeros(mi.Bool, dr.width(si.t))
-    for shape in hidden_shapes(scene):
-        met |= si.shape == mi.ShapePtr(shape)
-    return np.array(met & si.is_valid())
+    return np.array(on_shapes(si, hidden_shapes(scene)))
