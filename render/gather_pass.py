@@ -37,6 +37,12 @@ class PixelRule:
         return len(self.nodes) ** 2
 
     @property
+    def pixel_nodes(self) -> NDArray[np.float64]:
+        """(n², 2) x and y of a pixel's nodes, y outermost."""
+        y, x = np.meshgrid(self.nodes, self.nodes, indexing="ij")
+        return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+    @property
     def pixel_weights(self) -> NDArray[np.float64]:
         """(n²,) weights of a pixel's nodes, y outermost."""
         return np.outer(self.weights, self.weights).ravel()
@@ -66,13 +72,15 @@ class Grid:
         for start in range(0, self.height, step):
             yield start, min(start + step, self.height)
 
-    def film_positions(self, rows: tuple[int, int], rule: PixelRule) -> tuple[NDArray, NDArray]:
-        """Film x and y in [0, 1] of all nodes of some rows: pixel by pixel, then node by node."""
-        y, x, node_y, node_x = np.meshgrid(
-            np.arange(*rows), np.arange(self.width), rule.nodes, rule.nodes, indexing="ij"
-        )
-        film_x, film_y = (x + node_x) / self.width, (y + node_y) / self.height
-        return film_x.ravel(), film_y.ravel()
+    def samples(
+        self, rows: tuple[int, int], rule: PixelRule, node: int | None = None
+    ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.Float]:
+        """Film x, y, pixel and weight of all nodes of some rows, or of one node of each pixel."""
+        from render import kernels
+
+        chosen = slice(None) if node is None else slice(node, node + 1)
+        size = (self.width, self.height)
+        return kernels.pixel_samples(size, rows, rule.pixel_nodes[chosen], rule.pixel_weights[chosen])
 
 
 def gather_direct(
@@ -107,8 +115,8 @@ def gather_lights(
     count = dr.opaque(mi.UInt32, len(lights))
     blocks = []
     for rows in grid.blocks(rule):
-        x, y = grid.film_positions(rows, rule)
-        si = kernels.camera_hits(scene, kernels.upload(x), kernels.upload(y))
+        x, y, _, _ = grid.samples(rows, rule)
+        si = kernels.camera_hits(scene, x, y)
         re, im = kernels.gather_phasors(scene, si, position, normal, real, imaginary, turns, count)
         dr.eval(re, im)
         z = np.stack([np.array(a) + 1j * np.array(b) for a, b in zip(re, im, strict=True)], axis=-1)
@@ -136,23 +144,20 @@ def splat_rows(
     axis = kernels.TimeAxis(layout.bin_count, layout.bin_width_m, layout.start_opl_m)
     pixels = (rows[1] - rows[0]) * layout.width
     bins = dr.zeros(mi.Float, pixels * layout.bin_count)
-    radiance, opl = _direct_lanes(scene, grid, rows, direct_rule, seed)
-    pixel = dr.arange(mi.UInt32, pixels * direct_rule.count) // dr.opaque(mi.UInt32, direct_rule.count)
-    weight = kernels.upload(np.tile(direct_rule.pixel_weights, pixels))
+    radiance, opl, pixel, weight = _direct_lanes(scene, grid, rows, direct_rule, seed)
     kernels.splat_tent(bins, pixel * axis.count, axis, opl, radiance * weight, dr.ReduceMode.Auto)
     dr.eval(bins)
     if len(lights):
         energy, light_opl_m = lights.packets(packets)
-        x, y = grid.film_positions(rows, hidden_rule)
-        for node, weight in enumerate(hidden_rule.pixel_weights):
+        for node, share in enumerate(hidden_rule.pixel_weights):
             # One node of every pixel at a time: then no two lanes write to the same bin.
-            lane = slice(node, None, hidden_rule.count)
+            x, y, _, _ = grid.samples(rows, hidden_rule, node)
             kernels.splat_lights(
                 scene,
-                kernels.camera_hits(scene, kernels.upload(x[lane]), kernels.upload(y[lane])),
+                kernels.camera_hits(scene, x, y),
                 kernels.upload_points(lights.position),
                 kernels.upload_points(lights.normal),
-                kernels.upload(energy * weight),
+                kernels.upload(energy * share),
                 kernels.upload(light_opl_m),
                 dr.opaque(mi.UInt32, packets),
                 dr.opaque(mi.UInt32, len(lights)),
@@ -166,16 +171,20 @@ def splat_rows(
 
 def _direct_lanes(
     scene: mi.Scene, grid: Grid, rows: tuple[int, int], rule: PixelRule, seed: int
-) -> tuple[mi.Float, mi.Float]:
+) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.Float]:
+    """Radiance, OPL, pixel and weight of every sample of the direct return."""
+    import drjit as dr
     import mitsuba as mi
 
     from render import kernels
 
-    x, y = grid.film_positions(rows, rule)
-    # Only emitters with an extent look at the sample; a projector is a point.
-    sample = np.random.default_rng([seed, rows[0]]).random((2, len(x)), dtype=np.float32)
-    si = kernels.camera_hits(scene, kernels.upload(x), kernels.upload(y))
-    return kernels.direct_return(scene, si, mi.Point2f(*(kernels.upload(part) for part in sample)))
+    x, y, pixel, weight = grid.samples(rows, rule)
+    # Only emitters with an extent look at the random sample; a projector is a point.
+    stream = int(np.random.SeedSequence([seed, rows[0]]).generate_state(1)[0])
+    random = mi.PCG32(dr.width(x), dr.opaque(mi.UInt64, stream))
+    sample = mi.Point2f(random.next_float32(), random.next_float32())
+    radiance, opl = kernels.direct_return(scene, kernels.camera_hits(scene, x, y), sample)
+    return radiance, opl, pixel, weight
 
 
 def _direct(
@@ -183,7 +192,7 @@ def _direct(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     import drjit as dr
 
-    radiance, opl = _direct_lanes(scene, grid, rows, rule, seed)
+    radiance, opl, _, _ = _direct_lanes(scene, grid, rows, rule, seed)
     dr.eval(radiance, opl)
     return np.array(radiance, dtype=np.float64), np.array(opl, dtype=np.float64)
 

@@ -35,6 +35,30 @@ def upload_points(values: NDArray[np.floating]) -> mi.Point3f:
     return mi.Point3f(*(upload(column) for column in np.asarray(values).T))
 
 
+def pixel_samples(
+    size: tuple[int, int], rows: tuple[int, int], nodes: NDArray[np.floating], weights: NDArray[np.floating]
+) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.Float]:
+    """Film x and y in [0, 1], pixel and weight of every sample: pixel by pixel, then node by node.
+
+    Parameters
+    ----------
+    size : image width and height, pixels.
+    rows : first row and the one after the last.
+    nodes : (n, 2) x and y in a pixel, from 0 to 1.
+    weights : (n,) of the nodes.
+    """
+    width, height = size
+    count = dr.opaque(mi.UInt32, len(nodes))
+    columns = dr.opaque(mi.UInt32, width)
+    lane = dr.arange(mi.UInt32, (rows[1] - rows[0]) * width * len(nodes))
+    pixel, node = lane // count, lane % count
+    row = pixel // columns + dr.opaque(mi.UInt32, rows[0])
+    x = mi.Float(pixel % columns) + dr.gather(mi.Float, upload(nodes[:, 0]), node)
+    y = mi.Float(row) + dr.gather(mi.Float, upload(nodes[:, 1]), node)
+    weight = dr.gather(mi.Float, upload(weights), node)
+    return x / dr.opaque(mi.Float, width), y / dr.opaque(mi.Float, height), pixel, weight
+
+
 def on_shapes(si: mi.SurfaceInteraction3f | mi.PreliminaryIntersection3f, shapes: list[mi.Shape]) -> mi.Bool:
     """Whether a ray met one of `shapes`.
 
@@ -69,19 +93,25 @@ def direct_return(
 
 
 def light_transport(
-    scene: mi.Scene, si: mi.SurfaceInteraction3f, bsdf: mi.BSDFPtr, position: mi.Point3f, normal: mi.Point3f
+    scene: mi.Scene,
+    si: mi.SurfaceInteraction3f,
+    bsdf: mi.BSDFPtr,
+    position: mi.Point3f,
+    normal: mi.Point3f,
+    light: mi.UInt32,
 ) -> tuple[mi.Float, mi.Float]:
     """Radiance towards the camera per intensity of a light, f cos a cos b / d² V, and the distance d."""
-    gap = position - si.p
+    there = dr.gather(mi.Point3f, position, light)
+    gap = there - si.p
     squared = dr.squared_norm(gap)
     distance = dr.sqrt(squared)
     direction = gap / distance
-    cosine = -dr.dot(normal, direction)
+    cosine = -dr.dot(dr.gather(mi.Point3f, normal, light), direction)
     local = si.to_local(direction)
     seen = si.is_valid() & (cosine > 0)
     reflected = bsdf.eval(mi.BSDFContext(), si, local, seen).x
     seen &= reflected > 0
-    seen &= ~scene.ray_test(si.spawn_ray_to(position), seen)
+    seen &= ~scene.ray_test(si.spawn_ray_to(there), seen)
     return dr.select(seen, reflected * cosine / squared, 0), distance
 
 
@@ -106,13 +136,7 @@ def gather_phasors(
     bsdf = si.bsdf()
     light = mi.UInt32(0)
     while light < count:
-        transport, distance = light_transport(
-            scene,
-            si,
-            bsdf,
-            dr.gather(mi.Point3f, position, light),
-            dr.gather(mi.Point3f, normal, light),
-        )
+        transport, distance = light_transport(scene, si, bsdf, position, normal, light)
         opl = distance + si.t
         for index in range(frequency_count):
             sine, cosine = dr.sincos(phase_per_metre[index] * opl)
@@ -142,13 +166,7 @@ def splat_lights(
     first = dr.arange(mi.UInt32, dr.width(si.t)) * axis.count
     light = mi.UInt32(0)
     while light < count:
-        transport, distance = light_transport(
-            scene,
-            si,
-            bsdf,
-            dr.gather(mi.Point3f, position, light),
-            dr.gather(mi.Point3f, normal, light),
-        )
+        transport, distance = light_transport(scene, si, bsdf, position, normal, light)
         travelled = distance + si.t
         packet = light * packets
         last = packet + dr.select(transport > 0, packets, 0)

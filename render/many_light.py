@@ -68,7 +68,8 @@ class ManyLight:
         SceneError, HiddenSurfaceError : a scene that this method cannot render, and what to do.
         """
         surface = read_hidden_surface(scene) if view.max_bounces >= 3 else None
-        check_many_light_scene(scene, surface is not None)
+        if view.max_bounces > 1:
+            check_many_light_scene(scene, surface is not None)
         if surface is None:
             return ManyLightExposure(scene, view, no_lights(), None)
         workshop = LightWorkshop(scene, surface, light_density(scene, surface, view.seed), view)

@@ -273,11 +273,11 @@ def _check_memory(layout: TransientLayout, product: Product) -> None:
     if product == "itof":
         return
     needed = _WORKING_COPIES * 4 * layout.width * layout.bin_count
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if needed > free or layout.width * layout.bin_count >= 2**31:
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > memory or layout.width * layout.bin_count >= 2**31:
         raise RenderError(
             f"one image row of {layout.width} pixels x {layout.bin_count} bins needs {needed / 1e9:.2g} GB "
-            f"and {free / 1e9:.2g} GB are free: use fewer bins, a lower --resolution, or --product itof"
+            f"of this machine's {memory / 1e9:.2g} GB: use fewer bins, fewer pixels, or --product itof"
         )
 
 

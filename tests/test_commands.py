@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -189,6 +190,38 @@ def test_an_impossible_resolution_is_refused(copy, size, words):
 
 def test_an_unknown_method_is_refused(copy):
     assert "no rendering method magic" in refusal("night-render", copy / "data", "--method", "magic")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        (None, "the projector turned round", "light nothing"),
+        ('type="roughplastic"', 'type="conductor"', "--method path"),
+        # The mirrored object stands behind the relay wall, where no light goes.
+        ('"hidden_object_0.ply"', '"mirrored_hidden_object_0.ply"', "no hidden object can be seen"),
+    ],
+)
+def test_a_scene_that_many_light_cannot_render_says_why(copy, before, after, words):
+    file = copy / "data" / "scenes" / "000001" / "scene.xml"
+    head, emitter, tail = file.read_text().partition("<emitter")
+    if before is None:
+        numbers = re.search(r'matrix value="([^"]*)"', tail)[1].split()
+        # The first and third column of the pose point right and ahead.
+        turned = [str(-float(n)) if i < 12 and i % 4 in (0, 2) else n for i, n in enumerate(numbers)]
+        text = head + emitter + tail.replace(" ".join(numbers), " ".join(turned))
+    else:
+        text = (head + emitter + tail).replace(before, after)
+        text = re.sub(r'\s*<(float|spectrum) name="(alpha|diffuse_reflectance)"[^>]*>', "", text)
+    file.write_text(text)
+    message = refusal("night-render", copy / "data", "--only", "000001", "--lights", 64, "--device", "cpu")
+    assert "000001" in message
+    assert words in message
+
+
+def test_impossible_render_options_are_refused(copy):
+    assert "above 0" in refusal("night-render", copy / "data", "--error", -1)
+    assert "lights" in CliRunner().invoke(cli.night_render, [str(copy / "data"), "--lights", "0"]).stderr
+    assert "product" in CliRunner().invoke(cli.night_render, [str(copy / "data"), "--product", "film"]).stderr
 
 
 def test_a_missing_render_says_which_and_what_to_do(copy):

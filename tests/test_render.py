@@ -293,6 +293,12 @@ def test_a_damaged_or_changed_scene_is_rendered_again(rendered, tmp_path):
     assert not renderer.is_done("000000")
 
 
+def test_a_time_axis_that_fits_no_memory_is_refused_before_rendering(rendered, monkeypatch):
+    monkeypatch.setattr("render.rendering._WORKING_COPIES", 10**9)
+    with pytest.raises(RenderError, match=r"one image row of 32 pixels x 1500 bins needs .* GB"):
+        Renderer(rendered, path_settings(4))
+
+
 def test_an_aspect_ratio_that_the_projector_does_not_have_is_refused(rendered):
     with pytest.raises(RenderError, match="aspect ratio"):
         Renderer(rendered, path_settings(4, resolution=(30, 30)))
