@@ -1,0 +1,60 @@
+"""Does ``many-light`` agree with the path tracer? Ratio of image sums and scatter of pixels, on four scenes.
+
+Many independent path-traced renders give the path tracer's mean and its own noise; the ratio of image sums
+should be 1 within that noise, and the mean square of the pixels' differences over the noise should be 1. Run:
+
+    .venv/bin/python benchmarks/path_agreement.py
+"""
+
+import argparse
+
+import numpy as np
+from four_scenes import four_scenes
+
+from itof import MeasurementMatrix, TransientLayout
+from render import ManyLight, MethodOptions, PathTracer, View, select_variant
+
+HZ = (20e6, 50e6, 60e6)
+
+
+def main() -> None:
+    """Print a line per scene and frequency."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--runs", type=int, default=48)
+    arguments.add_argument("--spp", type=int, default=4096)
+    given = arguments.parse_args()
+    layout = TransientLayout(24, 18, 2000, 0.01, 0.0)
+    phi = MeasurementMatrix(HZ, layout.bin_count, layout.bin_width_m, splat="tent")
+    variant = select_variant()
+    import mitsuba as mi
+
+    print(f"{given.runs} renders of {given.spp} paths a pixel, 24 x 18 pixels, 8192 lights")
+    print("scene                 MHz   path / many-light    sigma   mean square z")
+    with four_scenes() as scenes:
+        for name, dataset, scene_id in scenes:
+            scene = mi.load_file(str(dataset.scene_folder(scene_id) / "scene.xml"), optimize=False)
+            lights = ManyLight(MethodOptions(lights=8192), variant).expose(scene, View(layout, HZ, 3, 1))
+            image = lights.phasors(HZ)
+            tracer = PathTracer(MethodOptions(spp=given.spp), variant)
+            runs = np.array(
+                [
+                    phi.apply_streaming(tracer.expose(scene, View(layout, HZ, 3, seed)).row_blocks())
+                    for seed in range(given.runs)
+                ]
+            )
+            hidden = runs - image.direct  # (runs, H, W, F)
+            sums = hidden.sum(axis=(1, 2)) / image.hidden.sum(axis=(0, 1))
+            sigma = sums.real.std(axis=0, ddof=1) / np.sqrt(given.runs)
+            noise = (hidden.real.var(axis=0, ddof=1) + hidden.imag.var(axis=0, ddof=1)) / given.runs
+            squared = np.abs(hidden.mean(axis=0) - image.hidden) ** 2
+            scatter = squared.sum(axis=(0, 1)) / noise.sum(axis=(0, 1))
+            for index, frequency_hz in enumerate(HZ):
+                ratio = sums.real.mean(axis=0)[index]
+                print(
+                    f"{name:<20} {frequency_hz / 1e6:4.0f} {ratio:19.4f} {sigma[index]:8.4f}"
+                    f" {scatter[index]:15.2f}"
+                )
+
+
+if __name__ == "__main__":
+    main()
