@@ -138,12 +138,25 @@ class Renderer:
         """
         scene = self.dataset.scene(scene_id)
         attributes = self._attributes(scene_id)
+        self._remove_stale_transients(scene_id)
         self._render_measurement(scene, attributes)
         self._render_mirrored(scene, attributes)
 
     @property
     def _wants_transients(self) -> bool:
         return self.settings.product != "itof"
+
+    def _remove_stale_transients(self, scene_id: str) -> None:
+        """Transients of another recipe must not stand beside new phasors."""
+        for name in (SCENE_TRANSIENT, MIRRORED_TRANSIENT):
+            file = self.dataset.render_folder(scene_id) / name
+            try:
+                with TransientReader(file) as reader:
+                    stale = reader.attributes.get("recipe") != self._recipe(scene_id)
+            except ImageFileError:
+                stale = file.is_file()
+            if stale:
+                file.unlink()
 
     def _render_measurement(self, scene: Scene, attributes: dict[str, str]) -> None:
         folder = self.dataset.render_folder(scene.id)

@@ -293,6 +293,17 @@ def test_a_damaged_or_changed_scene_is_rendered_again(rendered, tmp_path):
     assert not renderer.is_done("000000")
 
 
+def test_transients_of_other_settings_do_not_stay_beside_new_phasors(rendered, tmp_path):
+    shutil.copytree(rendered.root, tmp_path / "copy")
+    copy = Dataset(tmp_path / "copy", rendered.index)
+    transient = copy.render_folder("000000") / "transient.exr"
+    same = dataclasses.replace(path_settings(256), product="itof")
+    Renderer(copy, same).render("000000")
+    assert transient.exists()
+    Renderer(copy, dataclasses.replace(same, options=MethodOptions(spp=16))).render("000000")
+    assert not transient.exists()
+
+
 def test_a_time_axis_that_fits_no_memory_is_refused_before_rendering(rendered, monkeypatch):
     monkeypatch.setattr("render.rendering._WORKING_COPIES", 10**9)
     with pytest.raises(RenderError, match=r"one image row of 32 pixels x 1500 bins needs .* GB"):
