@@ -79,7 +79,7 @@ def scenes(out: Path, preset: str, count: int | None, seed: int | None) -> None:
     check_target(out, settings)  # before Blender, which takes a second to load
     from scenegen.blender import BlenderMaker
 
-    with tqdm(total=settings.dataset.count, unit="scene", desc="scenes") as bar:
+    with tqdm(total=settings.dataset.count, unit="scene", desc="scenes", disable=None) as bar:
         dataset = generate(out, settings, BlenderMaker(), lambda: bar.update())
     found = scenegen.leaks(dataset.scene(scene_id) for scene_id in dataset.ids())
     if found:
@@ -140,7 +140,7 @@ def night_render(
     _say_space(
         dataset, len(missing), renderer.layout.width * renderer.layout.height * renderer.layout.bin_count
     )
-    for scene_id in tqdm(missing, unit="scene", desc=f"render ({renderer.variant})"):
+    for scene_id in tqdm(missing, unit="scene", desc=f"render ({renderer.variant})", disable=None):
         renderer.render(scene_id)
     click.echo(f"{len(missing)} scenes rendered, {len(ids) - len(missing)} were there; {dataset / 'renders'}")
 

@@ -111,7 +111,7 @@ def _judge_split(
     results: list[SceneResult] = []
     clouds = folder / "pointclouds"
     clouds.mkdir()
-    for start in tqdm(range(0, len(rows), BATCH), desc=split, unit="batch", disable=not progress):
+    for start in tqdm(range(0, len(rows), BATCH), desc=split, unit="batch", disable=not progress or None):
         chosen = rows[start : start + BATCH]
         predictions = predictor.predict(shards.complex_phasors(chosen), shards.reference)
         for index, row in enumerate(chosen):

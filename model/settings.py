@@ -44,7 +44,7 @@ class TrainSettings:
         the first frequency (ours: the paper gives no number; this one costs nothing, DESIGN 4.12).
     seed : of weights, order and augmentation.
     device : ``auto`` takes cuda where there is one.
-    progress : show a progress bar.
+    progress : show a progress bar, where there is a terminal to show it.
     """
 
     channels: Channels = "paper+residual"

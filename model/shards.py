@@ -172,7 +172,7 @@ def _write_scenes(dataset: Dataset, folder: Path, first: RenderedScene, progress
     phasors = create("phasors", np.float32, 2 * frequency_count)  # real and imaginary parts, not a path
     target = create("target", np.float32, 2)
     radial_depth_m, mask = create("radial_depth_m", np.float32), create("mask", np.uint8)
-    for row, scene in enumerate(tqdm(scenes, desc="shards", unit="scene", disable=not progress)):
+    for row, scene in enumerate(tqdm(scenes, desc="shards", unit="scene", disable=not progress or None)):
         rendered = read_render(dataset, scene)
         if rendered.size != first.size:
             raise ShardError(

@@ -166,7 +166,7 @@ class _Training:
             total=max_epochs * scenes,
             initial=done * scenes,
             unit="scene",
-            disable=not self.settings.progress,
+            disable=not self.settings.progress or None,
         )
         with bar, SummaryWriter(str(out / "log"), purge_step=done + 1) as writer:
             for epoch in range(done + 1, max_epochs + 1):
