@@ -39,7 +39,7 @@ _ARC_SEGMENTS = 64  # around every round primitive: a chord leaves a 0.28 m circ
 
 
 class BlenderMaker:
-    """Makes scenes in one Blender session that is reset once and swept after every scene."""
+    """Makes scenes in one Blender process that is reset once and swept after every scene."""
 
     def __init__(self) -> None:
         with silenced(STDOUT):

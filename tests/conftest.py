@@ -1,4 +1,4 @@
-"""Shared real things: a Blender session, a Mitsuba variant, and small datasets made with them."""
+"""Shared real things: a running Blender, a Mitsuba variant, and small datasets made with them."""
 
 import pytest
 

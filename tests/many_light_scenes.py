@@ -79,6 +79,7 @@ class Corner:
     hidden : meshes, or Mitsuba dictionaries for what is no mesh.
     moved : (4, 4) rigid motion of everything: camera, projector, walls, objects.
     emitter_turned_rad : turn of the projector about z.
+    other_emitter : a Mitsuba dictionary instead of the projector.
     """
 
     hidden: tuple[Any, ...] = ()
@@ -88,6 +89,7 @@ class Corner:
     has_middle_wall: bool = True
     emitter_scale: float = 1.0
     emitter_turned_rad: float = 0.0
+    other_emitter: dict[str, Any] | None = None
     camera_turned_rad: float = 0.0
     moved: np.ndarray = field(default_factory=lambda: np.eye(4))
 
@@ -136,6 +138,8 @@ class Corner:
     def _emitter(self):
         import mitsuba as mi
 
+        if self.other_emitter is not None:
+            return self.other_emitter
         return {
             "type": "projector",
             "fov_axis": "x",
