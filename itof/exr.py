@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import Imath
 import numpy as np
@@ -34,6 +35,7 @@ from itof.measurement import MeasurementMatrix
 
 TRANSIENT_CHANNEL = "transient.Y"
 ATTRIBUTE_PREFIX = "night."
+_AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes without which a file is no transient
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
 _PHASOR_CHANNEL = re.compile(r"^(?P<prefix>\w+)\.(?P<mhz>\d+(?:\.\d+)?)MHz\.(?P<part>Re|Im)$")
 _READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (DESIGN 4.14)
@@ -90,12 +92,9 @@ class TransientWriter:
     ) -> None:
         self.layout = layout
         self._row = 0
-        header = OpenEXR.Header(layout.width * layout.bin_count, layout.height)
-        header["channels"] = {TRANSIENT_CHANNEL: Imath.Channel(_FLOAT)}
-        header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
-        axis = {name: repr(getattr(layout, name)) for name in ("bin_count", "bin_width_m", "start_opl_m")}
-        for name, text in {**attributes, **axis}.items():
-            header[ATTRIBUTE_PREFIX + name] = text.encode()
+        axis = {name: repr(getattr(layout, name)) for name in _AXIS}
+        size = (layout.width * layout.bin_count, layout.height)
+        header = _header(size, [TRANSIENT_CHANNEL], {**attributes, **axis})
         self._file = OpenEXR.OutputFile(str(Path(path)), header)
 
     def write_rows(self, block: ArrayLike) -> None:
@@ -141,12 +140,8 @@ class TransientReader:
         with _one_sentence(self.path):
             self._file = OpenEXR.InputFile(str(self.path))
             header = self._file.header()
-        self.attributes = {
-            name.removeprefix(ATTRIBUTE_PREFIX): value.decode()
-            for name, value in header.items()
-            if name.startswith(ATTRIBUTE_PREFIX) and isinstance(value, bytes)
-        }
-        missing = [n for n in ("bin_count", "bin_width_m", "start_opl_m") if n not in self.attributes]
+        self.attributes = _attributes(header)
+        missing = [name for name in _AXIS if name not in self.attributes]
         if TRANSIENT_CHANNEL not in header["channels"] or missing:
             raise ImageFileError(
                 f"{path} is an EXR file but no transient: it needs the channel {TRANSIENT_CHANNEL} and the "
@@ -268,12 +263,7 @@ def write_image(
     if len(shapes) != 1 or len(next(iter(shapes))) != 2:
         raise ValueError(f"all channels of an image have one shape (H, W), got {sorted(shapes)}")
     height, width = next(iter(shapes))
-    header = OpenEXR.Header(width, height)
-    header["channels"] = {name: Imath.Channel(_FLOAT) for name in pixels}
-    header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
-    for name, text in attributes.items():
-        header[ATTRIBUTE_PREFIX + name] = text.encode()
-    file = OpenEXR.OutputFile(str(Path(path)), header)
+    file = OpenEXR.OutputFile(str(Path(path)), _header((width, height), list(pixels), attributes))
     try:
         file.writePixels({name: values.tobytes() for name, values in pixels.items()}, height)
     finally:
@@ -302,12 +292,22 @@ def read_image(path: str | os.PathLike[str]) -> Image:
         name: np.frombuffer(values, np.float32).reshape(shape)
         for name, values in zip(names, data, strict=True)
     }
-    attributes = {
+    return Image(channels, _attributes(header))
+
+
+def _header(size: tuple[int, int], channels: Sequence[str], attributes: Mapping[str, str]) -> dict[str, Any]:
+    header: dict[str, Any] = OpenEXR.Header(*size)
+    header["channels"] = {name: Imath.Channel(_FLOAT) for name in channels}
+    header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
+    return header | {ATTRIBUTE_PREFIX + name: text.encode() for name, text in attributes.items()}
+
+
+def _attributes(header: Mapping[str, Any]) -> dict[str, str]:
+    return {
         name.removeprefix(ATTRIBUTE_PREFIX): value.decode()
         for name, value in header.items()
         if name.startswith(ATTRIBUTE_PREFIX) and isinstance(value, bytes)
     }
-    return Image(channels, attributes)
 
 
 @contextmanager

@@ -61,7 +61,7 @@ def midpoint_rule(count: int) -> PixelRule:
 
 @dataclass(frozen=True)
 class Grid:
-    """Which pixels: an image of width x height, or every `stride`-th pixel of it for a pilot."""
+    """Pixels of an image of width x height; a coarse one serves as a pilot of a fine one."""
 
     width: int
     height: int
@@ -129,12 +129,15 @@ def splat_rows(
     layout: TransientLayout,
     rows: tuple[int, int],
     lights: Lights,
-    packets: int,
+    packets: tuple[NDArray[np.float32], NDArray[np.float32]],
     direct_rule: PixelRule,
     hidden_rule: PixelRule,
     seed: int,
 ) -> NDArray[np.float32]:
-    """(rows, W, T) radiance per bin, direct and hidden together, tent-splatted."""
+    """(rows, W, T) radiance per bin, direct and hidden together, tent-splatted.
+
+    `packets` is `lights.packets(...)`: (N, Q) energy and OPL.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -148,7 +151,7 @@ def splat_rows(
     kernels.splat_tent(bins, pixel * axis.count, axis, opl, radiance * weight, dr.ReduceMode.Auto)
     dr.eval(bins)
     if len(lights):
-        energy, light_opl_m = lights.packets(packets)
+        energy, light_opl_m = packets
         for node, share in enumerate(hidden_rule.pixel_weights):
             # One node of every pixel at a time: then no two lanes write to the same bin.
             x, y, _, _ = grid.samples(rows, hidden_rule, node)
@@ -159,13 +162,12 @@ def splat_rows(
                 kernels.upload_points(lights.normal),
                 kernels.upload(energy * share),
                 kernels.upload(light_opl_m),
-                dr.opaque(mi.UInt32, packets),
+                dr.opaque(mi.UInt32, energy.shape[1]),
                 dr.opaque(mi.UInt32, len(lights)),
                 axis,
                 bins,
             )
             dr.eval(bins)
-    dr.eval(bins)
     return np.array(bins).reshape(rows[1] - rows[0], layout.width, layout.bin_count)
 
 

@@ -155,12 +155,13 @@ class ManyLightExposure:
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Time-resolved image rows, direct and hidden together, tent-splatted."""
         layout = self.view.layout
+        packets = self.lights.packets(_PACKETS)
         rule = midpoint_rule(min(max(_DIRECT_CELLS // layout.width, _FEWEST_CELLS), _MOST_CELLS))
         step = min(layout.rows_per_block, max(1, 2**22 // (layout.width * rule.count)))
         for start in range(0, layout.height, step):
             rows = (start, min(start + step, layout.height))
             yield splat_rows(
-                self.scene, layout, rows, self.lights, _PACKETS, rule, self._hidden_rule, self.view.seed
+                self.scene, layout, rows, self.lights, packets, rule, self._hidden_rule, self.view.seed
             )
 
     @property

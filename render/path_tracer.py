@@ -39,8 +39,6 @@ class PathTracer:
     name = "path"
 
     def __init__(self, options: MethodOptions, variant: str) -> None:
-        if options.spp < 1:
-            raise ValueError(f"--spp must be at least 1, got {options.spp}")
         self.passes = -(-options.spp // _SAMPLES_PER_PASS)
         self.spp_per_pass = _whole_strata(-(-options.spp // self.passes))
         register_film(variant)
@@ -99,7 +97,9 @@ class PathExposure:
 
         scene, view = self.scene, self.view
         sensor = mi.load_dict(_sensor_dict(scene, view, start, rows))
-        integrator = mi.load_dict({"type": INTEGRATOR_PLUGIN, "max_depth": view.max_bounces + 1})
+        integrator = mi.load_dict(
+            {"type": INTEGRATOR_PLUGIN, "max_depth": view.max_bounces + 1}
+        )  # path edges
         total = np.zeros((rows, view.layout.width, view.layout.bin_count))
         steady_sum = 0.0
         for number in range(self.passes):

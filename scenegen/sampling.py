@@ -8,7 +8,7 @@ from math import floor
 import numpy as np
 
 from scenegen.preset import Preset, Shape, Vector
-from scenegen.scene import COMPOSITE, Camera, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
+from scenegen.scene import COMPOSITE, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000
 
@@ -53,13 +53,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
             location_m=preset.middle_wall.location_m,
             rotation_deg=preset.middle_wall.rotation_deg,
         ),
-        camera=Camera(
-            width=camera.width,
-            height=camera.height,
-            horizontal_fov_deg=camera.horizontal_fov_deg,
-            location_m=camera.location_m,
-            rotation_deg=camera.rotation_deg,
-        ),
+        camera=camera,
         emitter=Emitter(
             horizontal_fov_deg=camera.horizontal_fov_deg,
             location_m=camera.location_m,

@@ -9,6 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from scenegen.preset import (
     STRICT,
+    CameraSettings,
     Extent,
     FieldOfView,
     Material,
@@ -17,7 +18,6 @@ from scenegen.preset import (
     Roughness,
     Shape,
     Vector,
-    WholeCount,
     checked,
 )
 
@@ -54,15 +54,7 @@ class RelayWall(Wall):
     roughness: Roughness | None
 
 
-@dataclass(frozen=True, config=STRICT)
-class Camera:
-    """Pinhole camera with square pixels, looking along its own -z (Blender's convention)."""
-
-    width: WholeCount
-    height: WholeCount
-    horizontal_fov_deg: FieldOfView
-    location_m: Vector
-    rotation_deg: Vector
+Camera = CameraSettings  # a scene's camera is the one that its preset sets
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -66,7 +66,7 @@ def relative(z, reference):
 
 
 def assert_agrees_with_paths(image, runs):
-    """Sums within 4 sigma, and pixels scatter like the path tracer's own noise between `runs`."""
+    """Sums within 5 sigma, and pixels scatter like the path tracer's own noise between `runs`."""
     hidden = runs - image.direct
     count = len(runs)
     total = image.hidden.sum(axis=(0, 1))
@@ -81,7 +81,7 @@ def assert_agrees_with_paths(image, runs):
     # scatters by sqrt(2) v; estimating v from few runs adds 2 / (runs - 1) to the 2.
     scatter = np.sqrt((2 + 2 / (count - 1)) * (variance**2).sum(axis=(0, 1))) / variance.sum(axis=(0, 1))
     chi = squared.sum(axis=(0, 1)) / variance.sum(axis=(0, 1))
-    # What every pixel shares (the lights' own error) is squared once more: (0.005 / pixel noise)^2.
+    # What every pixel shares, the lights' own error of at most 1 %, adds its square over the noise's.
     noise = np.sqrt(variance.sum(axis=(0, 1))) / np.linalg.norm(image.hidden, axis=(0, 1))
     assert np.all(np.abs(chi - 1) < 4 * scatter + (0.01 / noise) ** 2)
 
