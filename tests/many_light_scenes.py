@@ -1,4 +1,4 @@
-"""Corners to render in tests: the paper's camera, projector and walls around any meshes."""
+"""Corners to render in tests: the paper's camera, projector and walls around any meshes; measuring them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
+
+from itof import MeasurementMatrix, TransientLayout
+from render import ManyLight, MethodOptions, PathTracer, View
+
+FREQUENCIES_HZ = (20e6, 50e6, 60e6)
+LAYOUT = TransientLayout(24, 18, 1400, 0.01, 0.0)
+SMALL = TransientLayout(12, 9, 1400, 0.01, 0.0)
 
 CAMERA_LOCATION_M = np.array([1.0, -1.0, 1.65])
 FORWARD = np.array([-np.sin(np.radians(50)), np.cos(np.radians(50)), 0.0])
@@ -154,3 +161,26 @@ class Corner:
                 "wrap_mode": "clamp",
             },
         }
+
+
+def expose(scene, variant, *, lights=1024, seed=1, layout=LAYOUT, max_bounces=3):
+    view = View(layout, FREQUENCIES_HZ, max_bounces, seed)
+    return ManyLight(MethodOptions(lights=lights), variant).expose(scene, view)
+
+
+def measure(scene, variant, **options):
+    return expose(scene, variant, **options).phasors(FREQUENCIES_HZ)
+
+
+def path_phasors(scene, variant, *, seeds, spp, layout=LAYOUT, max_bounces=3):
+    """(runs, H, W, F) phasors by path tracing, Φ of tent-splatted bins."""
+    phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="tent")
+    method = PathTracer(MethodOptions(spp=spp), variant)
+    views = (View(layout, FREQUENCIES_HZ, max_bounces, seed) for seed in seeds)
+    return np.array([phi.apply_streaming(method.expose(scene, view).row_blocks()) for view in views])
+
+
+def relative(z, reference):
+    """‖z - reference‖ / ‖reference‖ over the image, per frequency."""
+    axes = (-3, -2)
+    return np.linalg.norm(z - reference, axis=axes) / np.linalg.norm(reference, axis=axes)

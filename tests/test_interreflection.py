@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from many_light_scenes import Corner, ball, box
+from many_light_scenes import FREQUENCIES_HZ, Corner, ball, box, expose, measure, path_phasors
 
 from itof import MeasurementMatrix, TransientLayout
-from render import ManyLight, MethodOptions, PathTracer, View
 
-HZ = (20e6, 50e6, 60e6)
-LAYOUT = TransientLayout(24, 18, 2400, 0.01, 0.0)  # long enough for five bounces
+LONG = TransientLayout(24, 18, 2400, 0.01, 0.0)  # long enough for five bounces
 
 
 def niche():
@@ -18,29 +16,17 @@ def niche():
     return mesh
 
 
-def hidden(scene, variant, max_bounces, seed=1, lights=2048):
-    view = View(LAYOUT, HZ, max_bounces, seed)
-    return ManyLight(MethodOptions(lights=lights), variant).expose(scene, view).phasors(HZ)
-
-
-def path_total(scene, variant, max_bounces, seed, spp=2048):
-    view = View(LAYOUT, HZ, max_bounces, seed)
-    rows = PathTracer(MethodOptions(spp=spp), variant).expose(scene, view).row_blocks()
-    phi = MeasurementMatrix(HZ, LAYOUT.bin_count, LAYOUT.bin_width_m, splat="tent")
-    return phi.apply_streaming(rows)
+def measured(scene, variant, max_bounces):
+    return measure(scene, variant, lights=2048, layout=LONG, max_bounces=max_bounces)
 
 
 @pytest.mark.parametrize("max_bounces", [4, 5])
 def test_a_hollow_object_sends_the_light_that_the_path_tracer_finds(variant, tmp_path, max_bounces):
     scene = Corner((niche(),)).load(tmp_path)
-    image = hidden(scene, variant, max_bounces)
+    image = measured(scene, variant, max_bounces)
     total = image.hidden.sum(axis=(0, 1))
-    runs = np.array(
-        [
-            (path_total(scene, variant, max_bounces, s) - image.direct).sum(axis=(0, 1)) / total
-            for s in range(12)
-        ]
-    )
+    paths = path_phasors(scene, variant, seeds=range(12), spp=2048, layout=LONG, max_bounces=max_bounces)
+    runs = (paths - image.direct).sum(axis=(1, 2)) / total  # (runs, F)
     for part, expected in ((runs.real, 1), (runs.imag, 0)):
         sigma = part.std(axis=0, ddof=1) / np.sqrt(len(runs))
         # Student's t with 11 degrees of freedom passes 5 once in 2500; the lights' own error is 0.5 %.
@@ -51,22 +37,22 @@ def test_a_hollow_object_sends_the_light_that_the_path_tracer_finds(variant, tmp
 
 def test_a_fourth_bounce_adds_a_tenth_and_more_to_a_hollow_object(variant, tmp_path):
     scene = Corner((niche(),)).load(tmp_path)
-    three, four, five = (np.abs(hidden(scene, variant, n).hidden.sum()) for n in (3, 4, 5))
+    three, four, five = (np.abs(measured(scene, variant, n).hidden.sum()) for n in (3, 4, 5))
     assert four > 1.1 * three
     assert five > four
 
 
 def test_a_convex_object_alone_has_no_fourth_bounce(variant, tmp_path):
     scene = Corner((ball(),)).load(tmp_path)
-    three, four = (hidden(scene, variant, n).hidden for n in (3, 4))
+    three, four = (measured(scene, variant, n).hidden for n in (3, 4))
     # The facets of a convex mesh do not see each other, but rays that leave one may graze its neighbour.
     assert np.abs(four - three).max() < 1e-4 * np.abs(three).max()
 
 
 def test_transients_of_more_bounces_are_those_of_the_same_lights(variant, tmp_path):
     scene = Corner((niche(),)).load(tmp_path)
-    exposure = ManyLight(MethodOptions(lights=256), variant).expose(scene, View(LAYOUT, HZ, 5, 1))
-    exact = exposure.phasors(HZ)
-    phi = MeasurementMatrix(HZ, LAYOUT.bin_count, LAYOUT.bin_width_m, splat="tent")
+    exposure = expose(scene, variant, lights=256, layout=LONG, max_bounces=5)
+    exact = exposure.phasors(FREQUENCIES_HZ)
+    phi = MeasurementMatrix(FREQUENCIES_HZ, LONG.bin_count, LONG.bin_width_m, splat="tent")
     error = np.linalg.norm(phi.apply_streaming(exposure.row_blocks()) - exact.total, axis=(0, 1))
     assert np.all(error < 0.01 * np.linalg.norm(exact.hidden, axis=(0, 1)))
