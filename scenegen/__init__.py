@@ -8,13 +8,25 @@ from scenegen.dataset import (
     Dataset,
     DatasetError,
     DatasetIndex,
+    RenderingProvenance,
     SceneEntry,
     build_index,
     open_dataset,
     write_index,
 )
+from scenegen.file_hashes import FileHashes, sha256_of
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, PresetError, load_preset, preset_from_dict, read_settings
+from scenegen.render_record import (
+    FailureRecord,
+    FileRecord,
+    RenderRecord,
+    read_failure,
+    read_record,
+    remove_failure,
+    write_failure,
+    write_record,
+)
 from scenegen.sampling import SamplingError, leaks, sample_scene, sample_valid_scene
 from scenegen.scene import Camera, Scene, Split, scene_from_json, scene_id, scene_to_json
 from scenegen.whole_files import is_partial, whole_file, whole_folder, write_text
@@ -24,8 +36,13 @@ __all__ = [
     "Dataset",
     "DatasetError",
     "DatasetIndex",
+    "FailureRecord",
+    "FileHashes",
+    "FileRecord",
     "Preset",
     "PresetError",
+    "RenderRecord",
+    "RenderingProvenance",
     "SamplingError",
     "Scene",
     "SceneEntry",
@@ -37,17 +54,23 @@ __all__ = [
     "load_preset",
     "open_dataset",
     "preset_from_dict",
+    "read_failure",
+    "read_record",
     "read_settings",
+    "remove_failure",
     "rotation_matrix",
     "sample_scene",
     "sample_valid_scene",
     "scene_from_json",
     "scene_id",
     "scene_to_json",
+    "sha256_of",
     "silenced",
     "wall_normal",
     "whole_file",
     "whole_folder",
+    "write_failure",
     "write_index",
+    "write_record",
     "write_text",
 ]

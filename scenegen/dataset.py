@@ -16,11 +16,11 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from scenegen.preset import STRICT, Preset, checked
+from scenegen.preset import STRICT, Preset, WholeCount, checked
 from scenegen.scene import Scene, Split, scene_from_json, scene_id
 from scenegen.whole_files import write_text
 
-DATASET_SCHEMA = 1  # the Literal below is this number
+DATASET_SCHEMAS = (1, 2)  # readable; the newest is written, and 1 lacks all that has a default below
 
 
 class DatasetError(ValueError):
@@ -37,8 +37,39 @@ class SceneEntry:
 
 
 @dataclass(frozen=True, config=STRICT)
+class RenderingProvenance:
+    """How a dataset was rendered, for the record.
+
+    Attributes
+    ----------
+    method, product, max_bounces : as given to ``night-render``.
+    options : what the method was told, by name.
+    width, height : image size, pixels.
+    packages : versions of the programs that rendered.
+    scene_count : how many scenes are rendered so.
+    hidden_error_median, hidden_error_max : over scenes, the method's estimate of the error of the hidden
+        phasors relative to them; None when it has none.
+    """
+
+    method: str
+    product: str
+    max_bounces: int
+    options: dict[str, int | float | None]
+    width: WholeCount
+    height: WholeCount
+    packages: dict[str, str]
+    scene_count: Annotated[int, Field(ge=0)]
+    hidden_error_median: float | None
+    hidden_error_max: float | None
+
+
+@dataclass(frozen=True, config=STRICT)
 class DatasetIndex:
-    """Contents of ``dataset.json``: what was asked for, by what it was made, and the scene list."""
+    """Contents of ``dataset.json``: what was asked for, by what it was made, and the scene list.
+
+    `packages` are the versions of the programs that made the scenes, `meshes` the SHA-256 of the mesh files
+    a preset names, `rendering` how the scenes were rendered.
+    """
 
     generator: str
     generator_version: str
@@ -46,7 +77,10 @@ class DatasetIndex:
     seed: Annotated[int, Field(ge=0)]
     preset: Preset
     scenes: Annotated[tuple[SceneEntry, ...], Field(min_length=1)]
-    schema_version: Literal[1] = 1
+    packages: dict[str, str] = Field(default_factory=dict)
+    meshes: dict[str, str] = Field(default_factory=dict)
+    rendering: RenderingProvenance | None = None
+    schema_version: Literal[1, 2] = 2
 
 
 @plain_dataclass(frozen=True)
@@ -138,9 +172,9 @@ def open_dataset(root: Path) -> Dataset:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise DatasetError(f"{file} cannot be read as JSON: {error}") from None
     schema = data.get("schema_version") if isinstance(data, dict) else None
-    if schema != DATASET_SCHEMA:
+    if schema not in DATASET_SCHEMAS:
         raise DatasetError(
-            f"{file} has schema version {schema}, this program reads version {DATASET_SCHEMA}: "
+            f"{file} has schema version {schema}, this program reads versions up to {DATASET_SCHEMAS[-1]}: "
             "make the dataset again, or use the version of NIGHT that made it"
         )
     return Dataset(root, checked(TypeAdapter(DatasetIndex), text, str(file)))

@@ -173,8 +173,8 @@ def test_a_preset_that_leaves_no_room_is_refused(tmp_path):
 
 def test_a_dataset_of_another_schema_is_refused(copy):
     file = copy / "data" / "dataset.json"
-    file.write_text(file.read_text().replace('"schema_version": 1', '"schema_version": 2'))
-    assert "schema version 2" in refusal("night-render", copy / "data")
+    file.write_text(file.read_text().replace('"schema_version": 2', '"schema_version": 3'))
+    assert "schema version 3" in refusal("night-render", copy / "data")
     file.write_text("{")
     assert "cannot be read as JSON" in refusal("night-render", copy / "data")
 

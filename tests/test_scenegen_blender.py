@@ -215,7 +215,7 @@ def test_another_process_writes_the_same_bytes(maker, tmp_path):
 def test_the_dataset_folder_keeps_its_contract(make_dataset):
     dataset = make_dataset({"dataset": {"count": 7}})
     index = json.loads((dataset.root / "dataset.json").read_text())
-    assert index["schema_version"] == 1
+    assert index["schema_version"] == 2
     assert index["preset"]["transient"]["bin_count"] == 2000
     assert [entry["id"] for entry in index["scenes"]] == [f"{i:06d}" for i in range(7)]
     simple = {file.name for file in dataset.scene_folder("000000").iterdir()}
