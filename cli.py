@@ -10,18 +10,20 @@ import functools
 import logging
 import os
 import re
-import shutil
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from tqdm import tqdm
 
 import scenegen
 from scenegen import Preset
+
+if TYPE_CHECKING:
+    import render
 
 DEVICE = click.option(
     "--device",
@@ -70,22 +72,69 @@ def night_gen() -> None:
 @click.option("--preset", default="paper", show_default=True, help="Name in data/presets, or a .toml file.")
 @click.option("--count", type=int, help="Number of scenes instead of the preset's.")
 @click.option("--seed", type=int, help="Seed instead of the preset's.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Processes that make scenes, 350 MB each; the dataset is the same.",
+)
 @refusing
-def scenes(out: Path, preset: str, count: int | None, seed: int | None) -> None:
-    """Make the scenes of a preset in the folder OUT."""
+def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers: int) -> None:
+    """Make the scenes of a preset in the folder OUT; a larger --count than before adds scenes."""
     from scenegen.generation import check_target, generate
+    from scenegen.generation_pool import generate_in_processes
+    from scenegen.meshes import read_meshes
 
-    settings = _overridden(preset, count, seed)
-    check_target(out, settings)  # before Blender, which takes a second to load
-    from scenegen.blender import BlenderMaker
-
+    settings, preset_folder = _overridden(preset, count, seed)
+    meshes = read_meshes(settings, preset_folder)
+    hashes = {shape: mesh.sha256 for shape, mesh in meshes.items()}
+    check_target(out, settings, hashes)  # before Blender, which takes a second to load
+    make_maker = functools.partial(_blender_maker, meshes)
     with tqdm(total=settings.dataset.count, unit="scene", desc="scenes", disable=None) as bar:
-        dataset = generate(out, settings, BlenderMaker(), lambda: bar.update())
+        if workers == 1:
+            dataset = generate(out, settings, make_maker(), lambda: bar.update(), meshes=hashes)
+        else:
+            dataset = generate_in_processes(
+                out, settings, make_maker, lambda: bar.update(), workers=workers, meshes=hashes
+            )
     found = scenegen.leaks(dataset.scene(scene_id) for scene_id in dataset.ids())
     if found:
         click.echo(f"warning: the splits leak in {len(found)} places, for example: {found[0]}", err=True)
     parts = [f"{len(dataset.ids(split))} {split}" for split in ("train", "validation", "test")]
     click.echo(f"{len(dataset.ids())} scenes in {out}: {', '.join(parts)}")
+
+
+@night_gen.command()
+@click.argument("dataset", type=FOLDER)
+@click.option(
+    "--count",
+    type=click.IntRange(1, 100),
+    default=12,
+    show_default=True,
+    help="Scenes on the contact sheet, even over classes and splits.",
+)
+@click.option("--only", multiple=True, metavar="ID", help="Only this scene on the sheet; may be repeated.")
+@click.option("--licence", metavar="TEXT", help="Licence of the dataset, for its card; kept from then on.")
+@refusing
+def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | None) -> None:
+    """Draw a contact sheet and plots of DATASET, and write its card, README.md."""
+    import render
+
+    opened = scenegen.open_dataset(dataset)
+    ids = [opened.entry(scene_id).id for scene_id in dict.fromkeys(only)]
+    ids = ids or render.choose_scenes(opened, count)
+    render.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
+    maker = _blender_maker(render.meshes_in(opened))
+    with tqdm(total=len(opened.ids()) + len(ids), unit="scene", desc="preview", disable=None) as bar:
+        written = render.write_preview(opened, ids, maker.picture, licence, lambda: bar.update())
+    for file in written:
+        click.echo(f"{file}")
+    if dataset / "README.md" not in written:
+        click.echo(
+            f"{dataset / 'README.md'} is not ours and was left alone: rename it to get a dataset card",
+            err=True,
+        )
 
 
 @click.command()
@@ -94,9 +143,7 @@ def scenes(out: Path, preset: str, count: int | None, seed: int | None) -> None:
 @click.option(
     "--product",
     type=click.Choice(["itof", "transient", "both"]),
-    default="both",
-    show_default=True,
-    help="itof: phasors and ground truth, a few MB a scene; else transients as well.",
+    help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
 )
 @click.option("--error", type=float, help="many-light: wanted error of the hidden signal (0.01).")
 @click.option("--lights", type=click.IntRange(min=1), help="many-light: surface points, instead of --error.")
@@ -108,41 +155,146 @@ def scenes(out: Path, preset: str, count: int | None, seed: int | None) -> None:
 @click.option("--max-bounces", type=click.IntRange(min=1), help="Instead of the preset's.")
 @DEVICE
 @click.option("--resolution", metavar="WxH", help="Image size instead of the preset's, same aspect ratio.")
-@click.option("--only", multiple=True, metavar="ID", help="Render only this scene; may be repeated.")
+@click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Worker processes (one a device), or --cluster jobs."
+)
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Render on a running Dask cluster, like tcp://host:8786."
+)
+@click.option(
+    "--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file (SLURM, PBS)."
+)
+@click.option("--retry-failed", is_flag=True, help="Try scenes again that failed before.")
+@click.option("--replace", is_flag=True, help="Render scenes again that were rendered with other settings.")
+@click.option("--ignore-space", is_flag=True, help="Start although the disk looks too small.")
+@click.option("--status", is_flag=True, help="Say how far the dataset is rendered, and do nothing.")
+@click.option(
+    "--verify", is_flag=True, help="Check every rendered file; bad scenes are rendered in the next run."
+)
+@click.option("--movie", metavar="ID", help="Make the light-in-motion video of a scene's transient.")
+@click.option(
+    "--convert",
+    type=click.Choice(["itof", "tal"]),
+    help="itof: delete transients, keep phasors; with --out, phasors from transients. tal: HDF5 for y-tal.",
+)
+@click.option("--out", type=FOLDER, help="File of --movie, folder of --convert.")
+@click.option("--frequencies", metavar="MHZ,...", help="Of --convert itof --out, instead of the dataset's.")
 @click.version_option(package_name="night-nlos")
 @refusing
-def night_render(
-    dataset: Path,
-    product: Any,
-    device: Any,
-    resolution: str | None,
-    only: tuple[str, ...],
-    max_bounces: int | None,
-    method: str | None,
-    **method_options: Any,
-) -> None:
-    """Render what the camera measures of every scene in DATASET; what is already rendered is kept."""
+def night_render(dataset: Path, only: tuple[str, ...], workers: int | None, **given: Any) -> None:
+    """Render what the camera measures of every scene in DATASET.
+
+    What is rendered is kept; an interrupted run goes on when it is started again, on one machine or several.
+    Settings that are not given are those the dataset was rendered with before.
+    """
     import render
 
     opened = scenegen.open_dataset(dataset)
     ids = [opened.entry(scene_id).id for scene_id in dict.fromkeys(only)] or opened.ids()
-    given = {name: value for name, value in method_options.items() if value is not None}
-    settings = render.RenderSettings(
-        method=method or render.DEFAULT_METHOD,
-        product=product,
-        options=render.MethodOptions(**given),
-        max_bounces=max_bounces,
-        device=device,
-        resolution=_size(resolution),
+    tasks = ("status", "verify", "movie", "convert", "out", "frequencies")
+    task = {name: given.pop(name) for name in tasks}
+    names = ("scheduler", "retry_failed", "replace", "ignore_space")
+    options = render.RunOptions(
+        workers=workers, cluster_file=given.pop("cluster"), **{name: given.pop(name) for name in names}
     )
-    renderer = render.Renderer(opened, settings)
-    missing = [scene_id for scene_id in ids if not renderer.is_done(scene_id)]
-    _say_space(
-        dataset, len(missing), renderer.layout.width * renderer.layout.height * renderer.layout.bin_count
+    given["resolution"] = _size(given["resolution"])
+    asked = {name: value for name, value in given.items() if value is not None}
+    settings = render.settings_for(opened, asked)
+    if sum(bool(task[name]) for name in ("status", "verify", "movie", "convert")) > 1:
+        raise click.UsageError("--status, --verify, --movie and --convert are tasks of their own: give one")
+    if task["status"]:
+        click.echo("\n".join(render.read_status(opened, settings).sentences()))
+    elif task["verify"]:
+        _verify(opened, ids, workers or 1)
+    elif task["movie"]:
+        file = task["out"] or Path(f"{opened.entry(task['movie']).id}.mp4")
+        with render.open_transient(opened, task["movie"]) as transient:
+            render.write_movie(transient, file)
+        click.echo(f"the light of scene {task['movie']} in motion: {file}")
+    elif task["convert"]:
+        _convert(opened, ids, task["convert"], task["out"], _hertz(task["frequencies"]))
+    else:
+        result = render.render_dataset(opened, settings, ids, options, _say)
+        _summarise(dataset, result)
+
+
+def _convert(
+    dataset: scenegen.Dataset,
+    ids: list[str],
+    form: str,
+    out: Path | None,
+    frequencies_hz: tuple[float, ...] | None,
+) -> None:
+    """Other forms of the transients: captures for y-tal, phasors at any frequencies, or none at all."""
+    import render
+
+    if out is None and (form == "tal" or frequencies_hz):
+        raise click.UsageError(f"--convert {form} needs a folder to write to: give --out FOLDER")
+    if out is None:
+        freed = render.shrink_dataset(dataset, ids)
+        click.echo(f"{len(ids)} scenes have no transients now: {freed / 1e6:.3g} MB freed")
+        return
+    for scene_id in tqdm(ids, unit="scene", desc="convert", disable=None):
+        if form == "tal":
+            render.export_tal(dataset, scene_id, out / f"{scene_id}.hdf5")
+        else:
+            render.convert_to_itof(dataset, scene_id, out, frequencies_hz)
+    click.echo(f"{len(ids)} scenes converted in {out}")
+
+
+def _hertz(megahertz: str | None) -> tuple[float, ...] | None:
+    """``20,62.5`` as Hz, ascending."""
+    if megahertz is None:
+        return None
+    try:
+        return tuple(sorted(float(f"{float(number)}e6") for number in megahertz.split(",")))
+    except ValueError:
+        raise click.BadParameter(
+            f"{megahertz!r} is no list of frequencies; write it like 20,62.5", param_hint="--frequencies"
+        ) from None
+
+
+def _say(sentence: str) -> None:
+    click.echo(sentence, err=True)
+
+
+def _summarise(dataset: Path, result: render.RunResult) -> None:
+    """Closing lines of a run; exit code 1 when scenes failed."""
+    click.echo(f"{result.rendered} scenes rendered, {result.present} were there; {dataset / 'renders'}")
+    for scene_id, reason in sorted(result.failures.items()):
+        click.echo(f"failed: scene {scene_id}: {reason}", err=True)
+    if result.failures:
+        click.echo(
+            f"{len(result.failures)} scenes failed; logs are in {dataset / 'renders'}/<id>/failure.log, and "
+            "night-render --retry-failed tries them again",
+            err=True,
+        )
+    if result.skipped_failures:
+        click.echo(
+            f"{result.skipped_failures} scenes failed earlier and were left out: night-render --retry-failed "
+            "tries them again, --status names them",
+            err=True,
+        )
+    if result.failures or result.skipped_failures:
+        raise click.exceptions.Exit(1)
+
+
+def _verify(dataset: scenegen.Dataset, ids: list[str], workers: int) -> None:
+    """Check renders; exit code 1 when some are bad."""
+    import render
+
+    with tqdm(unit="scene", desc="verify", disable=None) as bar:
+        report = render.verify(dataset, ids, workers=workers, on_scene=bar.update)
+    for scene_id, problems in report.problems.items():
+        click.echo(f"bad: {scene_id}: {'; '.join(problems)}")
+    click.echo(
+        f"{report.checked} scenes checked: {report.checked - len(report.problems)} good, "
+        f"{len(report.problems)} bad; {len(ids) - report.checked} not rendered"
     )
-    for scene_id in tqdm(missing, unit="scene", desc=f"render ({renderer.variant})", disable=None):
-        renderer.render(scene_id)
-    click.echo(f"{len(missing)} scenes rendered, {len(ids) - len(missing)} were there; {dataset / 'renders'}")
+    if report.problems:
+        click.echo("the next night-render renders the bad ones again", err=True)
+        raise click.exceptions.Exit(1)
 
 
 @click.command()
@@ -199,14 +351,21 @@ def night_eval(run: Path, dataset: Path, out: Path, split: Any, device: Any) -> 
     click.echo(f"figures and point clouds in {out}")
 
 
-def _overridden(preset: str, count: int | None, seed: int | None) -> Preset:
-    """The preset with what the command line gives instead of its own count and seed."""
+def _overridden(preset: str, count: int | None, seed: int | None) -> tuple[Preset, Path]:
+    """The preset with what the command line gives instead of its own count and seed; its own folder."""
     data, origin = scenegen.read_settings("presets", preset)
     changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
     table = data.setdefault("dataset", {})
     if changes and isinstance(table, dict):
         table.update(changes)
-    return scenegen.preset_from_dict(data, origin)
+    return scenegen.preset_from_dict(data, origin), Path(origin).parent
+
+
+def _blender_maker(meshes: Mapping[str, Any]) -> Any:
+    """Start Blender in this process, one of the command's workers or itself."""
+    from scenegen.blender import BlenderMaker
+
+    return BlenderMaker(meshes)
 
 
 def _size(resolution: str | None) -> tuple[int, int] | None:
@@ -218,19 +377,6 @@ def _size(resolution: str | None) -> tuple[int, int] | None:
             f"{resolution!r} is no image size; write it like 160x120", param_hint="--resolution"
         )
     return int(match[1]), int(match[2])
-
-
-def _say_space(dataset: Path, scenes: int, values: int) -> None:
-    """Say before starting what transients may take, when it is much."""
-    upper_bytes = 2 * 4 * values * scenes  # scene and mirrored scene, float32, before compression
-    free_bytes = shutil.disk_usage(dataset).free
-    if upper_bytes > min(free_bytes, 10e9):
-        click.echo(
-            f"note: the transients of {scenes} scenes are {upper_bytes / 1e9:.2g} GB before compression, and "
-            f"{free_bytes / 1e9:.2g} GB are free; they shrink to 5 to 40 % of that, and --product itof needs "
-            "a few MB a scene",
-            err=True,
-        )
 
 
 def _sentence(error: BaseException) -> str:

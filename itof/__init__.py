@@ -13,6 +13,7 @@ from itof.exr import (
     TransientReader,
     TransientWriter,
     phasor_channels,
+    pixel_types,
     read_image,
     write_image,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "phasors",
     "phasors_of_channels",
     "pixel_rays",
+    "pixel_types",
     "points_from_radial",
     "radial_from_z",
     "read_image",

@@ -295,6 +295,22 @@ def read_image(path: str | os.PathLike[str]) -> Image:
     return Image(channels, _attributes(header))
 
 
+def pixel_types(path: str | os.PathLike[str]) -> dict[str, str]:
+    """How each channel of an EXR file is stored: ``FLOAT``, ``HALF`` or ``UINT``.
+
+    Raises
+    ------
+    ImageFileError : missing or foreign file.
+    """
+    with _one_sentence(Path(path)):
+        file = OpenEXR.InputFile(str(path))
+        try:
+            channels = file.header()["channels"]
+        finally:
+            file.close()
+    return {name: str(channel.type) for name, channel in channels.items()}
+
+
 def _header(size: tuple[int, int], channels: Sequence[str], attributes: Mapping[str, str]) -> dict[str, Any]:
     header: dict[str, Any] = OpenEXR.Header(*size)
     header["channels"] = {name: Imath.Channel(_FLOAT) for name in channels}

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from model.inputs import InputSpec
-from model.shards import Shards
+from model.rows import RowBlock
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,19 @@ class Batch:
     mask: Tensor
 
 
-def load_batch(shards: Shards, rows: Sequence[int], inputs: InputSpec, device: torch.device) -> Batch:
-    """Read rows from disk, make their network channels and put them on `device`."""
-    chosen = list(rows)
-    channels = inputs.apply(shards.complex_phasors(chosen), shards.reference)
+def make_batch(
+    block: RowBlock, reference: NDArray[np.complex128], inputs: InputSpec, device: torch.device
+) -> Batch:
+    """Network channels and ground truth of rows that were read, on `device`.
+
+    Parameters
+    ----------
+    reference : (H, W, F) direct return of the bare relay wall.
+    """
+    channels = inputs.apply(block.complex_phasors(), reference)
     return Batch(
         channels=torch.from_numpy(channels).to(device),
-        target=torch.from_numpy(np.array(shards.target[chosen])).to(device),
-        radial_depth_m=torch.from_numpy(np.array(shards.radial_depth_m[chosen])).to(device),
-        mask=torch.from_numpy(shards.mask[chosen].astype(np.float32)).to(device),
+        target=torch.from_numpy(block.target).to(device),
+        radial_depth_m=torch.from_numpy(block.radial_depth_m).to(device),
+        mask=torch.from_numpy(block.mask.astype(np.float32)).to(device),
     )

@@ -5,22 +5,24 @@ from __future__ import annotations
 import csv
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from itof import join_components
+from model.feed import Feed
 from model.figures import DepthView, accuracy_histogram, comparison_figure, write_figure
 from model.metrics import ImageMetrics, Statistics, Summary, image_metrics, no_object_metrics, summarise
 from model.pointclouds import object_points, write_point_cloud
 from model.prediction import BATCH, Prediction, Predictor, load_run
 from model.settings import DeviceName
 from model.shards import Shards, open_shards
-from scenegen import Dataset, Split, whole_file, whole_folder, write_text
+from scenegen import Dataset, SceneEntry, Split, whole_file, whole_folder, write_text
 
 REPORT_SCHEMA = 1
 REPORT_ENTRIES = frozenset({"metrics.json", "metrics.csv", "table.txt", "figures", "pointclouds"})
@@ -111,13 +113,17 @@ def _judge_split(
     results: list[SceneResult] = []
     clouds = folder / "pointclouds"
     clouds.mkdir()
-    for start in tqdm(range(0, len(rows), BATCH), desc=split, unit="batch", disable=not progress or None):
-        chosen = rows[start : start + BATCH]
-        predictions = predictor.predict(shards.complex_phasors(chosen), shards.reference)
-        for index, row in enumerate(chosen):
-            prediction = _one(predictions, index)
-            results.append(_judge(shards, row, prediction))
-            _write_clouds(clouds, shards, row, prediction, fov_deg)
+    feed = Feed(shards, rows, window_rows=0)  # seen once, so a piece at a time will do
+    with tqdm(total=len(rows), desc=split, unit="scene", disable=not progress or None) as bar:
+        for block in feed.in_order(BATCH):
+            predictions = predictor.predict(block.complex_phasors(), shards.reference)
+            for index, row in enumerate(block.rows):
+                truth_m, mask = block.radial_depth_m[index], block.mask[index]
+                prediction = _one(predictions, index)
+                results.append(_judge(shards.manifest.scenes[row], prediction, truth_m, mask))
+                views = {"gt": (truth_m, mask), "pred": (prediction.radial_depth_m, prediction.mask)}
+                _write_clouds(clouds, shards.manifest.scenes[row].id, views, fov_deg)
+            bar.update(len(block))
     return Report(
         split,
         tuple(results),
@@ -163,8 +169,9 @@ def _one(predictions: Prediction, index: int) -> Prediction:
     return Prediction(predictions.radial_depth_m[index], predictions.mask[index], predictions.phasor[index])
 
 
-def _judge(shards: Shards, row: int, prediction: Prediction) -> SceneResult:
-    scene, truth_m, mask = shards.manifest.scenes[row], shards.radial_depth_m[row], shards.mask[row]
+def _judge(
+    scene: SceneEntry, prediction: Prediction, truth_m: NDArray[np.float32], mask: NDArray[np.uint8]
+) -> SceneResult:
     return SceneResult(
         scene.id,
         scene.object_class,
@@ -173,12 +180,13 @@ def _judge(shards: Shards, row: int, prediction: Prediction) -> SceneResult:
     )
 
 
-def _write_clouds(folder: Path, shards: Shards, row: int, prediction: Prediction, fov_deg: float) -> None:
-    scene = shards.manifest.scenes[row].id
-    views = {
-        "gt": (shards.radial_depth_m[row], shards.mask[row]),
-        "pred": (prediction.radial_depth_m, prediction.mask),
-    }
+def _write_clouds(
+    folder: Path,
+    scene: str,
+    views: Mapping[str, tuple[NDArray[np.float32], NDArray[np.uint8] | NDArray[np.bool_]]],
+    fov_deg: float,
+) -> None:
+    """Point clouds of the views of a scene, each a depth and a mask, where they show an object."""
     for name, (radial_depth_m, mask) in views.items():
         points_m = object_points(radial_depth_m, mask, fov_deg)
         if len(points_m):
@@ -195,12 +203,12 @@ def _write_figures(out: Path, report: Report, predictor: Predictor, shards: Shar
     folder = out / "figures"
     folder.mkdir()
     for name, result in chosen.items():
-        row = rows[result.scene]
-        prediction = predictor.predict(shards.complex_phasors([row])[0], shards.reference)
+        block = shards.read([rows[result.scene]])
+        prediction = predictor.predict(block.complex_phasors()[0], shards.reference)
         truth = DepthView(
-            join_components(np.moveaxis(shards.target[row], 0, -1))[..., 0],
-            shards.radial_depth_m[row],
-            shards.mask[row] > 0,
+            join_components(np.moveaxis(block.target[0], 0, -1))[..., 0],
+            block.radial_depth_m[0],
+            block.mask[0] > 0,
         )
         view = DepthView(prediction.phasor, prediction.radial_depth_m, prediction.mask)
         title = f"{name} of {len(ranked)} {report.split} scenes: {result.scene}, {result.object_class}"

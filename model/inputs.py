@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import sqrt
 from typing import Annotated, Literal
 
@@ -12,6 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from itof import amplitude, network_channels, residual_channels
+from model.order import rows_by_piece
 from model.shards import Shards
 from scenegen.preset import STRICT, Positive
 
@@ -111,8 +112,16 @@ class InputSpec:
         return np.array(parts, dtype=np.float32)
 
 
+def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:
+    """(H, W, F) phasors of one scene after the other."""
+    for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
+        block = shards.read(piece)
+        for row in piece:
+            yield block.take([row]).complex_phasors()[0]
+
+
 def fit_input_spec(channels: Channels, shards: Shards, rows: Sequence[int]) -> InputSpec:
-    """Constants of the training scenes `rows`, read one scene at a time.
+    """Constants of the training scenes `rows`, read one piece of the shards at a time.
 
     Raises
     ------
@@ -121,8 +130,7 @@ def fit_input_spec(channels: Channels, shards: Shards, rows: Sequence[int]) -> I
     if not rows:
         raise ValueError("the input channels are scaled by the training scenes, and there are none")
     amplitudes, means, squares = [], [], []
-    for row in rows:
-        phasor = shards.complex_phasors([row])[0]  # (H, W, F)
+    for phasor in _phasors(shards, rows):
         amplitudes.append(amplitude(phasor[..., 0]).mean())
         if "residual" in channels:
             residual = residual_channels(phasor, shards.reference).astype(np.float64)  # (2F - 1, H, W)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import Image, ImageFileError, read_image
-from scenegen import Dataset
+from scenegen import Dataset, FileHashes, read_record
 
 MEASUREMENT_FILE = "itof.exr"
 GROUND_TRUTH_FILE = "mirrored.exr"
@@ -65,6 +65,31 @@ def source_files(dataset: Dataset) -> dict[str, Path]:
             f"run night-render {dataset.root}"
         )
     return files
+
+
+def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, str]]:
+    """SHA-256 of the files that shards are made of, by scene and by their path within the dataset.
+
+    Raises
+    ------
+    ShardError : a scene that has not been rendered, or a file that is not the one its record is of.
+    ImageFileError : such a file that is truncated or no EXR.
+    """
+    found: dict[str, dict[str, str]] = {scene: {} for scene in dataset.ids()}
+    recorded: dict[str, str] = {}
+    for name, path in source_files(dataset).items():
+        scene = path.parent.name
+        if not found[scene]:
+            record = read_record(path.parent)  # None of captures that night-render did not make
+            recorded = {file: entry.sha256 for file, entry in record.files.items()} if record else {}
+        digest = found[scene][name] = hashes.sha256(path)
+        if recorded.get(path.name, digest) != digest:
+            read_render(dataset, scene)  # may know better what is wrong
+            raise ShardError(
+                f"scene {scene}: {path} is not the file that night-render wrote (its SHA-256 differs from "
+                f"the one in render.json): run night-render {dataset.root} again, which repairs it"
+            )
+    return found
 
 
 def read_render(dataset: Dataset, scene: str) -> RenderedScene:

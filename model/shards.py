@@ -1,17 +1,16 @@
-"""Shards: a dataset's renders as a few float32 arrays that training reads memory-mapped.
+"""Shards: a dataset's renders as float32 arrays that training reads, in pieces of at most 128 MiB.
 
-``shards/`` of a dataset holds ``phasors.npy`` (N, 2F, H, W: F real parts, then F imaginary parts),
-``target.npy`` (N, 2, H, W), ``radial_depth_m.npy`` (N, H, W), ``mask.npy`` (N, H, W, uint8),
-``reference.npy`` (2F, H, W: the direct return of the bare relay wall) and ``manifest.json``, which knows
-the SHA-256 of every render they were made of and of every array. Half floats would destroy the hidden
-0.1-0.3 % of the signal (DESIGN 4.2), so phasors are float32.
+``shards/`` of a dataset holds a folder for every piece (`model.pieces`), named after its first scene,
+``reference.npy`` (2F, H, W: the direct return of the bare relay wall) and ``manifest.json``, which comes
+last and says which pieces belong together. Renewing them touches only pieces whose renders changed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass as plain_dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -23,12 +22,31 @@ from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
 from itof import direct_phasors, join_components, split_components
-from model.renders import RenderedScene, ShardError, read_render, source_files
-from scenegen import Dataset, SceneEntry, Split, camera_axes, wall_normal, whole_folder
+from model.pieces import (
+    PieceContents,
+    PieceRecord,
+    read_piece_record,
+    read_rows,
+    scenes_per_piece,
+    why_stale,
+    write_piece,
+)
+from model.renders import ShardError, read_render, source_hashes
+from model.rows import ARRAYS, RowBlock, RowLayout
+from scenegen import (
+    Dataset,
+    FileHashes,
+    SceneEntry,
+    Split,
+    camera_axes,
+    wall_normal,
+    whole_file,
+    write_text,
+)
 from scenegen.preset import STRICT, Preset, WholeCount
+from scenegen.whole_files import remove_leftovers
 
-SHARD_SCHEMA: Final = 1
-ARRAYS = ("phasors", "target", "radial_depth_m", "mask", "reference")
+SHARD_SCHEMA: Final = 2
 _log = logging.getLogger(__name__)
 
 
@@ -41,9 +59,10 @@ class ShardManifest:
     frequencies_hz : F modulation frequencies, Hz.
     width, height : image size, pixels.
     preset_sha256 : of the dataset's resolved preset (camera and relay wall shape the reference).
-    scenes : id, class and split of each row of the arrays.
-    sources : SHA-256 of every render, by its path in the dataset.
-    arrays : SHA-256 of every array file, by its name.
+    scenes : id, class and split of each row, through all pieces.
+    scenes_per_piece : rows of a piece; the last may have fewer.
+    pieces : records of the pieces, in the order of the rows.
+    reference_sha256 : of ``reference.npy``.
     """
 
     frequencies_hz: tuple[float, ...]
@@ -51,65 +70,85 @@ class ShardManifest:
     height: WholeCount
     preset_sha256: str
     scenes: tuple[SceneEntry, ...]
-    sources: dict[str, str]
-    arrays: dict[str, str]
-    schema_version: Literal[1] = SHARD_SCHEMA
+    scenes_per_piece: WholeCount
+    pieces: tuple[PieceRecord, ...]
+    reference_sha256: str
+    schema_version: Literal[2] = SHARD_SCHEMA
+
+    @property
+    def layout(self) -> RowLayout:
+        """Shape of a row."""
+        return RowLayout(self.width, self.height, len(self.frequencies_hz))
 
     @property
     def data_sha256(self) -> str:
         """One hash for all that training could see: scenes, splits, preset and renders."""
-        seen = (self.preset_sha256, self.scenes, sorted(self.sources.items()))
+        sources = sorted(item for piece in self.pieces for item in piece.contents.sources.items())
+        seen = (self.preset_sha256, self.scenes, sources)
         return hashlib.sha256(repr(seen).encode()).hexdigest()
 
 
 @plain_dataclass(frozen=True)
 class Shards:
-    """Opened shards; the arrays are memory-mapped and read-only.
+    """Opened shards; rows are numbered through all pieces and read when they are asked for.
 
     Attributes
     ----------
+    folder : where they are.
     manifest : what they hold.
-    phasors : (N, 2F, H, W) float32.
-    target : (N, 2, H, W) float32, Re and Im of the mirrored scene at the first frequency.
-    radial_depth_m : (N, H, W) float32, 0 on background.
-    mask : (N, H, W) uint8.
     reference : (H, W, F) complex, the direct return of the bare relay wall.
     """
 
+    folder: Path
     manifest: ShardManifest
-    phasors: NDArray[np.float32]
-    target: NDArray[np.float32]
-    radial_depth_m: NDArray[np.float32]
-    mask: NDArray[np.uint8]
     reference: NDArray[np.complex128]
 
     def rows(self, split: Split) -> list[int]:
-        """Rows of the arrays that belong to a split, in scene order."""
+        """Rows that belong to a split, in scene order."""
         return [row for row, scene in enumerate(self.manifest.scenes) if scene.split == split]
 
-    def ids(self, rows: Sequence[int]) -> list[str]:
+    def ids(self, rows: Iterable[int]) -> list[str]:
         """Scene ids of rows."""
         return [self.manifest.scenes[row].id for row in rows]
 
+    def read(self, rows: Sequence[int]) -> RowBlock:
+        """Some rows, read from disk now, piece by piece and each from front to back.
+
+        Raises
+        ------
+        ShardError : shards that were renewed since they were opened.
+        """
+        block = self.manifest.layout.empty(rows)
+        wanted: dict[int, list[tuple[int, int]]] = {}
+        for place, row in enumerate(rows):
+            piece, row_of_piece = divmod(row, self.manifest.scenes_per_piece)
+            wanted.setdefault(piece, []).append((place, row_of_piece))
+        for piece, pairs in sorted(wanted.items()):
+            contents = self.manifest.pieces[piece].contents
+            read_rows(self.folder / contents.name, contents, block, pairs)
+        return block
+
     def complex_phasors(self, rows: Sequence[int]) -> NDArray[np.complex128]:
         """(n, H, W, F) phasors of some rows, read from disk now."""
-        return join_components(np.moveaxis(self.phasors[list(rows)], 1, -1))
+        return self.read(rows).complex_phasors()
 
 
 def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
-    """Shards of a dataset; built first when there are none, or none that still fit its renders.
+    """Shards of a dataset; what is missing of them or does not fit its renders any more is built first.
+
+    An interrupted build goes on with the piece it was at. Files that did not change since the last time
+    are not read again.
 
     Raises
     ------
     ShardError, ImageFileError : renders that are missing, damaged, not finite or of several sizes.
     OSError : the disk is full.
     """
-    sources = {name: _sha256(path) for name, path in source_files(dataset).items()}
-    reason = _why_stale(dataset, sources)
-    if reason:
-        _log.info("building %s from %d scenes: %s", dataset.shard_folder, len(dataset.ids()), reason)
-        _build(dataset, sources, progress)
-    return _open(dataset.shard_folder)
+    hashes = FileHashes(dataset.root)
+    try:
+        return _renew(dataset, hashes, progress)
+    finally:
+        hashes.save()
 
 
 def preset_sha256(preset: Preset) -> str:
@@ -117,73 +156,98 @@ def preset_sha256(preset: Preset) -> str:
     return hashlib.sha256(TypeAdapter(Preset).dump_json(preset)).hexdigest()
 
 
-def _why_stale(dataset: Dataset, sources: Mapping[str, str]) -> str | None:
-    """What keeps the shards on disk from being used, in words; None when nothing does."""
+def _renew(dataset: Dataset, hashes: FileHashes, progress: bool) -> Shards:
+    """Bring pieces, reference and manifest up to date, in this order, and open them."""
     folder = dataset.shard_folder
-    try:
-        manifest = _read_manifest(folder)
-    except FileNotFoundError:
-        return "there are none yet"
-    except (OSError, ValidationError) as error:
-        return f"their manifest cannot be used ({str(error).splitlines()[0]})"
-    if manifest.scenes != dataset.index.scenes:
-        return "the list of scenes changed"
-    if manifest.preset_sha256 != preset_sha256(dataset.preset):
-        return "the preset changed"
-    changed = sorted(name for name, digest in sources.items() if manifest.sources.get(name) != digest)
-    if changed:
-        return f"{len(changed)} renders changed, first {changed[0]}"
-    damaged = [name for name in ARRAYS if _damaged(folder / f"{name}.npy", manifest.arrays.get(name))]
-    return f"{damaged[0]}.npy is missing or damaged" if damaged else None
+    sources = source_hashes(dataset, hashes)
+    layout = _layout(dataset, sources)
+    pieces = _pieces(dataset, layout, sources)
+    reasons = {piece.name: why_stale(folder / piece.name, piece, hashes) for piece in pieces}
+    stale = [piece for piece in pieces if reasons[piece.name]]
+    before = _read_manifest(folder)
+    _remove_surplus(folder, {piece.name for piece in pieces})
+    if stale:
+        reason = reasons[stale[0].name]
+        _log.info("building %d of %d pieces of %s: %s", len(stale), len(pieces), folder, reason)
+        (folder / "manifest.json").unlink(missing_ok=True)
+        _write_pieces(dataset, stale, progress)
+        for piece in stale:
+            why_stale(folder / piece.name, piece, hashes)  # read while the disk's cache holds it: remembered
+    manifest = ShardManifest(
+        frequencies_hz=dataset.preset.itof.frequencies_hz,
+        width=layout.width,
+        height=layout.height,
+        preset_sha256=preset_sha256(dataset.preset),
+        scenes=dataset.index.scenes,
+        scenes_per_piece=scenes_per_piece(layout),
+        pieces=tuple(_record(folder / piece.name) for piece in pieces),
+        reference_sha256=_renew_reference(dataset, layout, before, hashes),
+    )
+    if stale or manifest != before:
+        text = TypeAdapter(ShardManifest).dump_json(manifest, indent=1).decode()
+        write_text(folder / "manifest.json", text + "\n")
+    reference = np.load(folder / "reference.npy", allow_pickle=False)  # (2F, H, W)
+    return Shards(folder, manifest, join_components(np.moveaxis(reference, 0, -1)))
 
 
-def _build(dataset: Dataset, sources: Mapping[str, str], progress: bool) -> None:
-    """Write the shard folder, scene by scene, whole or not at all."""
-    scenes = dataset.ids()
+def _layout(dataset: Dataset, sources: Mapping[str, Mapping[str, str]]) -> RowLayout:
+    """Shape of a row, by the first scene; its images are read only when no piece knows it."""
+    first = dataset.ids()[0]
     frequencies_hz = dataset.preset.itof.frequencies_hz
-    first = read_render(dataset, scenes[0])
-    height, width = first.mask.shape
-    with whole_folder(dataset.shard_folder) as partial:
-        _write_scenes(dataset, partial, first, progress)
-        reference = split_components(_reference(dataset, width, height))  # (H, W, 2F)
-        np.save(partial / "reference.npy", np.moveaxis(reference, -1, 0).astype(np.float32))
-        manifest = ShardManifest(
-            frequencies_hz=frequencies_hz,
-            width=width,
-            height=height,
-            preset_sha256=preset_sha256(dataset.preset),
-            scenes=dataset.index.scenes,
-            sources=dict(sources),
-            arrays={name: _sha256(partial / f"{name}.npy") for name in ARRAYS},
+    record = read_piece_record(dataset.shard_folder / first)
+    if record and sources[first].items() <= record.contents.sources.items():
+        return RowLayout(record.contents.width, record.contents.height, len(frequencies_hz))
+    height, width = read_render(dataset, first).mask.shape
+    return RowLayout(width, height, len(frequencies_hz))
+
+
+def _pieces(
+    dataset: Dataset, layout: RowLayout, sources: Mapping[str, Mapping[str, str]]
+) -> list[PieceContents]:
+    """What each piece has to be made of."""
+    scenes, count = dataset.ids(), scenes_per_piece(layout)
+    return [
+        PieceContents(
+            scenes=tuple(chosen),
+            width=layout.width,
+            height=layout.height,
+            frequencies_hz=dataset.preset.itof.frequencies_hz,
+            sources={name: digest for scene in chosen for name, digest in sources[scene].items()},
         )
-        text = TypeAdapter(ShardManifest).dump_json(manifest, indent=1)
-        (partial / "manifest.json").write_bytes(text + b"\n")
+        for chosen in (scenes[start : start + count] for start in range(0, len(scenes), count))
+    ]
 
 
-def _write_scenes(dataset: Dataset, folder: Path, first: RenderedScene, progress: bool) -> None:
-    """Stream every scene into the arrays; memory stays that of one scene."""
-    scenes = dataset.ids()
-    height, width, frequency_count = first.phasor.shape
+def _write_pieces(dataset: Dataset, pieces: Sequence[PieceContents], progress: bool) -> None:
+    count = sum(len(piece.scenes) for piece in pieces)
+    with tqdm(total=count, desc="shards", unit="scene", disable=not progress or None) as bar:
+        for piece in pieces:
+            write_piece(dataset, dataset.shard_folder / piece.name, piece, bar.update)
 
-    def create(name: str, dtype: type, *axes: int) -> NDArray[np.generic]:
-        shape = (len(scenes), *axes, height, width)
-        return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
 
-    phasors = create("phasors", np.float32, 2 * frequency_count)  # real and imaginary parts, not a path
-    target = create("target", np.float32, 2)
-    radial_depth_m, mask = create("radial_depth_m", np.float32), create("mask", np.uint8)
-    for row, scene in enumerate(tqdm(scenes, desc="shards", unit="scene", disable=not progress or None)):
-        rendered = read_render(dataset, scene)
-        if rendered.size != first.size:
-            raise ShardError(
-                f"wrong resolution between stages: scene {scene} was rendered at {rendered.size} pixels, "
-                f"scene {scenes[0]} at {first.size}; render them all at one resolution"
-            )
-        phasors[row] = np.moveaxis(split_components(rendered.phasor), -1, 0)
-        target[row], radial_depth_m[row], mask[row] = rendered.target, rendered.radial_depth_m, rendered.mask
-    for array in (phasors, target, radial_depth_m, mask):
-        if isinstance(array, np.memmap):
-            array.flush()
+def _record(piece: Path) -> PieceRecord:
+    record = read_piece_record(piece)
+    if record is None:
+        raise ShardError(f"{piece} is gone: something else is renewing the shards; start again")
+    return record
+
+
+def _renew_reference(
+    dataset: Dataset, layout: RowLayout, before: ShardManifest | None, hashes: FileHashes
+) -> str:
+    """Write ``reference.npy`` unless the one there is right; its SHA-256."""
+    file = dataset.shard_folder / "reference.npy"
+    asked = (preset_sha256(dataset.preset), layout)
+    if before and (before.preset_sha256, before.layout) == asked:
+        try:
+            if hashes.sha256(file) == before.reference_sha256:
+                return before.reference_sha256
+        except OSError:
+            _log.info("%s is missing", file)
+    components = split_components(_reference(dataset, layout.width, layout.height))  # (H, W, 2F)
+    with whole_file(file) as partial, partial.open("wb") as stream:
+        np.save(stream, np.moveaxis(components, -1, 0).astype(np.float32))
+    return hashes.sha256(file)
 
 
 def _reference(dataset: Dataset, width: int, height: int) -> NDArray[np.complex128]:
@@ -201,20 +265,20 @@ def _reference(dataset: Dataset, width: int, height: int) -> NDArray[np.complex1
     )
 
 
-def _open(folder: Path) -> Shards:
-    arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False) for name in ARRAYS}
-    reference = join_components(np.moveaxis(np.array(arrays.pop("reference")), 0, -1))  # (H, W, F)
-    return Shards(manifest=_read_manifest(folder), reference=reference, **arrays)
+def _read_manifest(folder: Path) -> ShardManifest | None:
+    try:
+        return TypeAdapter(ShardManifest).validate_json((folder / "manifest.json").read_bytes())
+    except (OSError, ValidationError):
+        return None
 
 
-def _read_manifest(folder: Path) -> ShardManifest:
-    return TypeAdapter(ShardManifest).validate_json((folder / "manifest.json").read_bytes())
-
-
-def _damaged(file: Path, digest: str | None) -> bool:
-    return not file.is_file() or _sha256(file) != digest
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def _remove_surplus(folder: Path, pieces: set[str]) -> None:
+    """Remove pieces of another layout, the arrays of schema version 1 and what killed processes left."""
+    if not folder.is_dir():
+        return
+    remove_leftovers(folder)
+    for entry in folder.iterdir():
+        if entry.is_dir() and entry.name.isdigit() and entry.name not in pieces:
+            shutil.rmtree(entry)
+        elif entry.name in {f"{name}.npy" for name in ARRAYS}:
+            entry.unlink()

@@ -18,11 +18,13 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from model.augmentation import augmentation_named
-from model.batches import Batch, load_batch
+from model.batches import Batch, make_batch
+from model.feed import Feed, window_rows
 from model.inputs import fit_input_spec
 from model.loss import NightLoss
 from model.metrics import image_metrics, summarise
 from model.prediction import read_output
+from model.rows import RowBlock
 from model.run_folder import (
     EpochRecord,
     RunConfig,
@@ -38,7 +40,7 @@ from model.run_folder import (
 )
 from model.settings import TrainSettings, choose_device
 from model.shards import Shards, open_shards
-from scenegen import Dataset, is_partial
+from scenegen import Dataset, Split, is_partial
 
 PICTURE_EVERY = 10  # epochs between pictures in TensorBoard
 _log = logging.getLogger(__name__)
@@ -58,12 +60,23 @@ class TrainingResult:
     ended_by: Literal["max_epochs", "patience"]
 
 
-def train(dataset: Dataset, out: Path, settings: TrainSettings, *, resume: bool = False) -> TrainingResult:
+def train(
+    dataset: Dataset,
+    out: Path,
+    settings: TrainSettings,
+    *,
+    resume: bool = False,
+    memory_bytes: int | None = None,
+) -> TrainingResult:
     """Train a network on a dataset's training scenes and write the run folder `out`.
 
     With `resume`, go on after the last finished epoch of `out`, to the same weights as if it had never
     been interrupted (to the bit on the CPU, with as many threads). Only `max_epochs`, `device` and
     `progress` may differ then.
+
+    Scenes of a split that take more than `memory_bytes` (by default `model.MEMORY_PART` of the machine's
+    memory) are streamed from the shards and shuffled in windows (`model.order`); a resumed run keeps the
+    windows it began with.
 
     Raises
     ------
@@ -88,7 +101,7 @@ def train(dataset: Dataset, out: Path, settings: TrainSettings, *, resume: bool 
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
     with _naming_memory(config):
-        training = _Training(config, shards, device)
+        training = _Training(config, shards, device, memory_bytes)
         checkpoint = load_checkpoint(out, device) if resume else None
         if checkpoint:
             training.restore(checkpoint, out / "checkpoint.pt")
@@ -133,7 +146,9 @@ def _configure(shards: Shards, settings: TrainSettings) -> RunConfig:
 class _Training:
     """State of a training run between epochs: network, optimiser, random stream and history."""
 
-    def __init__(self, config: RunConfig, shards: Shards, device: torch.device) -> None:
+    def __init__(
+        self, config: RunConfig, shards: Shards, device: torch.device, memory_bytes: int | None
+    ) -> None:
         settings = config.settings
         self.config, self.settings, self.shards, self.device = config, settings, shards, device
         self.generator = torch.Generator().manual_seed(settings.seed)
@@ -143,7 +158,8 @@ class _Training:
         noise = settings.noise_sigma
         noise_std = torch.from_numpy(config.inputs.noise_std(noise)) if noise > 0 else None
         self.augmentation = augmentation_named(settings.augmentations, noise_std)
-        self.rows = {"train": shards.rows("train"), "validation": shards.rows("validation")}
+        rows: dict[Split, list[int]] = {s: shards.rows(s) for s in ("train", "validation")}
+        self.feeds = {s: Feed(shards, rows[s], window_rows(shards, len(rows[s]), memory_bytes)) for s in rows}
         self.history: list[EpochRecord] = []
 
     @property
@@ -157,7 +173,7 @@ class _Training:
 
     def run(self, out: Path) -> TrainingResult:
         """Train until the last epoch or the end of patience; everything is on disk after every epoch."""
-        max_epochs, scenes = self.settings.max_epochs, len(self.rows["train"])
+        max_epochs, scenes = self.settings.max_epochs, len(self.feeds["train"].rows)
         done = len(self.history)
         if done >= max_epochs or self.out_of_patience():
             _log.info("%s is finished already, after %d epochs: nothing to do", out, done)
@@ -184,45 +200,42 @@ class _Training:
     def train_epoch(self, epoch: int, bar: tqdm[None]) -> float:
         """One pass over the training scenes in random order; mean loss of a scene."""
         self.network.train()
-        rows = self.rows["train"]
-        order = torch.randperm(len(rows), generator=self.generator).tolist()
-        total = 0.0
-        for chosen in _batches([rows[i] for i in order], self.settings.batch_size):
-            batch = self.augmentation(self.load(chosen), self.generator)
+        feed, total = self.feeds["train"], 0.0
+        for block in feed.shuffled(self.settings.batch_size, self.generator):
+            batch = self.augmentation(self.batch(block), self.generator)
             loss = self.loss_of(batch)
-            total += len(chosen) * self.checked(loss, epoch, chosen)
+            total += len(block) * self.checked(loss, epoch, block.rows)
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()
-            bar.update(len(chosen))
-        return total / len(rows)
+            bar.update(len(block))
+        return total / len(feed.rows)
 
     @torch.no_grad()
     def validate(self, epoch: int, train_loss: float) -> EpochRecord:
         """Mean loss and metrics of the validation scenes, without augmentation."""
         self.network.eval()
-        rows = self.rows["validation"]
-        total, metrics = 0.0, []
-        for chosen in _batches(rows, self.settings.batch_size):
-            batch = self.load(chosen)
+        feed, total, metrics = self.feeds["validation"], 0.0, []
+        for block in feed.in_order(self.settings.batch_size):
+            batch = self.batch(block)
             output = self.network(batch.channels)
             loss = self.loss(output, batch.target, batch.radial_depth_m, batch.mask)
-            total += len(chosen) * self.checked(loss, epoch, chosen)
+            total += len(block) * self.checked(loss, epoch, block.rows)
             depth_m, mask, _ = read_output(output, self.config.readout)
-            truth = zip(self.shards.radial_depth_m[chosen], self.shards.mask[chosen], strict=True)
+            truth = zip(block.radial_depth_m, block.mask, strict=True)
             metrics += [image_metrics(d, m, *t) for d, m, t in zip(depth_m, mask, truth, strict=True)]
         summary = summarise(metrics)
         return EpochRecord(
             epoch=epoch,
             train_loss=train_loss,
-            validation_loss=total / len(rows),
+            validation_loss=total / len(feed.rows),
             validation_mae_cm=100 * summary.depth_mae_m.mean,
             validation_miou=summary.miou.mean,
         )
 
-    def load(self, rows: Sequence[int]) -> Batch:
+    def batch(self, block: RowBlock) -> Batch:
         """Rows of the shards as a batch on the device."""
-        return load_batch(self.shards, rows, self.config.inputs, self.device)
+        return make_batch(block, self.shards.reference, self.config.inputs, self.device)
 
     def loss_of(self, batch: Batch) -> Tensor:
         """Loss of the network on a batch."""
@@ -248,6 +261,7 @@ class _Training:
             "optimiser": self.optimiser.state_dict(),
             "generator": self.generator.get_state(),
             "history": [asdict(record) for record in self.history],
+            "window_rows": self.feeds["train"].window_rows,
         }
         save_checkpoint(out, state)
 
@@ -259,6 +273,7 @@ class _Training:
             self.optimiser.load_state_dict(state["optimiser"])
             self.generator.set_state(state["generator"].cpu())
             self.history = [EpochRecord(**record) for record in state["history"]]
+            self.keep_windows(int(state.get("window_rows", len(self.feeds["train"].rows))))
             fits = settings <= set(self.optimiser.param_groups[0]) and all(
                 self.optimiser.state[parameter][moment].shape == parameter.shape
                 for parameter in self.network.parameters()
@@ -271,13 +286,24 @@ class _Training:
         if not (fits and self.history):
             raise RunError(f"{file} does not hold the state of this training: train again from the start")
 
+    def keep_windows(self, window_rows: int) -> None:
+        """Shuffle in windows of as many training scenes as before; without that the order would differ."""
+        feed = self.feeds["train"]
+        if window_rows > feed.window_rows:
+            _log.warning(
+                "the run began with %d training scenes in memory and goes on so; this machine's share of "
+                "memory for them takes %d",
+                *(window_rows, feed.window_rows),
+            )
+        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows)
+
     def report(self, writer: SummaryWriter, record: EpochRecord) -> None:
         """Scalars of every epoch, and now and then the first validation scene: truth above prediction."""
         for name, value in asdict(record).items():
             if name != "epoch":
                 writer.add_scalar(name, value, record.epoch)
         if record.epoch % PICTURE_EVERY == 1:
-            batch = self.load(self.rows["validation"][:1])
+            batch = self.batch(self.shards.read(self.feeds["validation"].rows[:1]))
             with torch.no_grad():
                 depth_m, _, _ = read_output(self.network(batch.channels), self.config.readout)
             both = np.concatenate([batch.radial_depth_m[0].cpu().numpy(), depth_m[0]])  # (2H, W)
@@ -291,7 +317,3 @@ class _Training:
             best_validation_loss=self.best.validation_loss,
             ended_by="patience" if self.out_of_patience() else "max_epochs",
         )
-
-
-def _batches(rows: Sequence[int], size: int) -> list[Sequence[int]]:
-    return [rows[start : start + size] for start in range(0, len(rows), size)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from pathlib import Path
 from typing import Literal
 
 from scenegen import silenced
@@ -48,8 +49,17 @@ def select_variant(device: Device = "auto") -> str:
     variant = "cuda_ad_mono" if has_cuda else "llvm_ad_mono"
     if mi.variant() != variant:
         mi.set_variant(variant)
-    log.info("rendering with Mitsuba %s, variant %s", mi.__version__, variant)
+        log.info("rendering with Mitsuba %s, variant %s", mi.__version__, variant)
     return variant
+
+
+def gpu_ids() -> list[str]:
+    """The CUDA devices that this process may use, as CUDA_VISIBLE_DEVICES names them; at least one."""
+    chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if chosen is not None:
+        return [entry.strip() for entry in chosen.split(",") if entry.strip()] or ["0"]
+    count = len(list(Path("/proc/driver/nvidia/gpus").glob("*")))
+    return [str(number) for number in range(max(1, count))]
 
 
 def _check_llvm(version: tuple[int, ...] | None) -> None:

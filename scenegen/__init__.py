@@ -18,6 +18,7 @@ from scenegen.file_hashes import FileHashes, sha256_of
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, PresetError, load_preset, preset_from_dict, read_settings
 from scenegen.render_record import (
+    RECORD_FILE,
     FailureRecord,
     FileRecord,
     RenderRecord,
@@ -32,6 +33,7 @@ from scenegen.scene import Camera, Scene, Split, scene_from_json, scene_id, scen
 from scenegen.whole_files import is_partial, whole_file, whole_folder, write_text
 
 __all__ = [
+    "RECORD_FILE",
     "Camera",
     "Dataset",
     "DatasetError",

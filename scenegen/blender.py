@@ -7,21 +7,26 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from math import radians
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from scenegen.chatter import silenced
+from scenegen.meshes import UserMesh
 from scenegen.mitsuba_xml import EMITTER_IMAGE, MeshFile, emitter_pfm, scene_xml
+from scenegen.outlines import clipped, frustum_edges, frustum_sides, wall_corners
+from scenegen.pose import camera_axes, rotation_matrix
 from scenegen.preset import Shape, Vector
 from scenegen.scene import Scene, Wall, scene_to_json
 
-STDOUT = 1  # Blender prints there from C
+STDOUT, STDERR = 1, 2  # Blender prints there from C
 
 # Blender writes settings into the home folder unless told otherwise, and reads this at import.
 _SETTINGS = tempfile.TemporaryDirectory(prefix="night-blender-")
@@ -39,12 +44,16 @@ _ARC_SEGMENTS = 64  # around every round primitive: a chord leaves a 0.28 m circ
 
 
 class BlenderMaker:
-    """Makes scenes in one Blender process that is reset once and swept after every scene."""
+    """Makes scenes in one Blender process that is reset once and swept after every scene.
 
-    def __init__(self) -> None:
-        with silenced(STDOUT):
-            bpy.ops.wm.read_factory_settings(use_empty=True)
-        self._primitives = {shape: _primitive(shape) for shape in _BUILDERS}
+    `meshes` are those that the scenes' shapes name, from `scenegen.meshes.read_meshes`.
+    """
+
+    def __init__(self, meshes: Mapping[Shape, UserMesh] = MappingProxyType({})) -> None:
+        _empty_blender()
+        self._shapes = {shape: _primitive(shape) for shape in _BUILDERS}
+        self._shapes |= {shape: _user_mesh(mesh) for shape, mesh in meshes.items()}
+        self._outermost = {shape: mesh.outermost.tolist() for shape, mesh in meshes.items()}
         self._plane = _plane()
 
     @property
@@ -56,7 +65,7 @@ class BlenderMaker:
         """Why a scene cannot be: a vertex through a wall, or one that the camera could see; else None.
 
         The region the middle wall hides from the camera is convex, so an object whose vertices lie inside
-        it is hidden as a whole.
+        it is hidden as a whole; of a user's mesh those of its convex hull are enough.
         """
         with self._built(scene) as objects:
             camera = objects["camera"].matrix_world.translation
@@ -64,8 +73,10 @@ class BlenderMaker:
             facing, point = relay.to_3x3() @ BlenderVector((0, 0, 1)), relay.translation
             middle = _world_mesh(objects["middle_wall"])
             blocker = BVHTree.FromPolygons([tuple(v.co) for v in middle.vertices], [[0, 1, 3, 2]])
-            for name in _hidden_names(scene):
-                for vertex in _world_mesh(objects[name]).vertices:
+            for name, part in zip(_hidden_names(scene), scene.hidden_objects, strict=True):
+                vertices = _world_mesh(objects[name]).vertices
+                for index in self._outermost.get(part.shape, range(len(vertices))):
+                    vertex = vertices[index]
                     if (vertex.co - point).dot(facing) < CLEARANCE_M:
                         return f"{name} reaches through the relay wall"
                     ray = vertex.co - camera
@@ -73,25 +84,28 @@ class BlenderMaker:
                         return f"{name} shows beside the middle wall"
         return None
 
-    def write(self, scene: Scene, folder: Path) -> None:
-        """Write ``scene.json``, ``scene.xml``, ``mirrored.xml``, the meshes and the projector's image."""
+    def files(self, scene: Scene) -> dict[str, bytes]:
+        """``scene.json``, ``scene.xml``, ``mirrored.xml``, the meshes and the projector's image, by name."""
+        made = {}
         with self._built(scene) as objects:
             mirror = _reflection(objects["relay_wall"].matrix_world)
             walls = ["relay_wall", "middle_wall"]
             for name in (*walls, *_hidden_names(scene)):
-                _write_ply(_world_mesh(objects[name]), folder / f"{name}.ply")
+                made[f"{name}.ply"] = _ply(_world_mesh(objects[name]))
             for name in _hidden_names(scene):
-                _write_ply(_world_mesh(objects[name], mirror), folder / f"mirrored_{name}.ply")
+                made[f"mirrored_{name}.ply"] = _ply(_world_mesh(objects[name], mirror))
             poses = [np.array(objects[name].matrix_world) for name in ("camera", "emitter")]
         hidden = [MeshFile(f"{name}.ply", "hidden_object") for name in _hidden_names(scene)]
         mirrored = [MeshFile(f"mirrored_{mesh.name}", mesh.material) for mesh in hidden]
         relay, middle = (MeshFile(f"{name}.ply", name) for name in walls)
-        (folder / "scene.xml").write_text(
-            scene_xml(scene, poses[0], poses[1], [relay, middle, *hidden], scene.max_bounces)
-        )
-        (folder / "mirrored.xml").write_text(scene_xml(scene, poses[0], poses[1], [middle, *mirrored], 1))
-        (folder / EMITTER_IMAGE).write_bytes(emitter_pfm(scene.camera))
-        (folder / "scene.json").write_text(scene_to_json(scene))
+        seen = scene_xml(scene, poses[0], poses[1], [relay, middle, *hidden], scene.max_bounces)
+        truth = scene_xml(scene, poses[0], poses[1], [middle, *mirrored], 1)
+        return made | {
+            "scene.xml": seen.encode(),
+            "mirrored.xml": truth.encode(),
+            EMITTER_IMAGE: emitter_pfm(scene.camera),
+            "scene.json": scene_to_json(scene).encode(),
+        }
 
     @contextmanager
     def _built(self, scene: Scene) -> Iterator[dict[str, bpy.types.Object]]:
@@ -104,7 +118,7 @@ class BlenderMaker:
             "emitter": _emitter(scene),
         }
         for name, part in zip(_hidden_names(scene), scene.hidden_objects, strict=True):
-            hidden = _placed(name, self._primitives[part.shape], part.location_m, part.rotation_deg)
+            hidden = _placed(name, self._shapes[part.shape], part.location_m, part.rotation_deg)
             hidden.scale = part.size_m
             objects[name] = hidden
         with silenced(STDOUT):
@@ -119,6 +133,33 @@ class BlenderMaker:
         placed = _placed(name, self._plane, wall.location_m, wall.rotation_deg)
         placed.scale = (*wall.size_m, 1.0)
         return placed
+
+    def picture(self, scene: Scene, width: int, height: int) -> NDArray[np.uint8]:
+        """The scene from outside and above, (H, W, 3) sRGB, from a viewpoint that no object moves.
+
+        The relay wall is light grey, what camera and projector cover of it blue, as are their frustum and
+        the small pyramid where they stand; the middle wall is glass, the hidden object orange. Nothing of
+        the picture stays in Blender.
+        """
+        with self._built(scene) as objects, _passing_stage() as stage:
+            lit = clipped(wall_corners(scene.relay_wall), frustum_sides(scene.camera))
+            bodies = [
+                (_world_mesh(objects["relay_wall"]), _RELAY_COLOUR, 1.0),
+                (_world_mesh(objects["middle_wall"]), _MIDDLE_COLOUR, 0.2),
+                *((_world_mesh(objects[n]), _OBJECT_COLOUR, 1.0) for n in _hidden_names(scene)),
+                *_picture_extras(scene, lit),
+            ]
+            for mesh, colour, opacity in bodies:
+                _show(stage, mesh, colour, opacity)
+            _set_up_view(stage, scene, lit)
+            return _rendered(stage, width, height)
+
+
+@cache
+def _empty_blender() -> None:
+    """Empty Blender of what it starts with; once, since it would empty it of another maker's meshes too."""
+    with silenced(STDOUT):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
 def _hidden_names(scene: Scene) -> list[str]:
@@ -163,7 +204,8 @@ def _reflection(relay_wall: Matrix) -> Matrix:
     return Matrix.Translation(point) @ Matrix.Scale(-1, 4, normal) @ Matrix.Translation(-point)
 
 
-def _write_ply(mesh: bpy.types.Mesh, path: Path) -> None:
+def _ply(mesh: bpy.types.Mesh) -> bytes:
+    """Contents of a binary PLY file."""
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", vertices)
@@ -172,7 +214,8 @@ def _write_ply(mesh: bpy.types.Mesh, path: Path) -> None:
     solid = trimesh.Trimesh(
         vertices.reshape(-1, 3), _ordered(triangles.reshape(-1, 3)), process=False, validate=False
     )
-    path.write_bytes(solid.export(file_type="ply", encoding="binary", vertex_normal=False))
+    contents: bytes = solid.export(file_type="ply", encoding="binary", vertex_normal=False)
+    return contents
 
 
 def _ordered(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -201,6 +244,12 @@ def _primitive(shape: Shape) -> bpy.types.Mesh:
     faces = sorted(face[face.index(min(face)) :] + face[: face.index(min(face))] for face in faces)
     mesh.from_pydata(vertices[order].tolist(), [], faces)
     return mesh
+
+
+def _user_mesh(mesh: UserMesh) -> bpy.types.Mesh:
+    made = bpy.data.meshes.new("mesh")
+    made.from_pydata(mesh.vertices.tolist(), [], mesh.triangles.tolist())
+    return made
 
 
 def _plane() -> bpy.types.Mesh:
@@ -257,3 +306,138 @@ _BUILDERS: dict[Shape, Callable[[bmesh.types.BMesh], None]] = {
     "concave_plane": _build_concave_plane,
     "parallelepiped": _build_cube,
 }
+
+
+# Linear RGB. No other thing in a picture is orange.
+_OBJECT_COLOUR = (0.9, 0.16, 0.01)
+_RELAY_COLOUR = (0.7, 0.7, 0.7)
+_MIDDLE_COLOUR = (0.02, 0.02, 0.03)
+_FLOOR_COLOUR = (0.45, 0.45, 0.45)
+_LIGHT_COLOUR = (0.08, 0.4, 0.9)
+_CAMERA_COLOUR = (0.01, 0.04, 0.2)
+_FOOT_M = 0.3  # of the middle wall is drawn opaque
+_PICTURE_SAMPLES = 8  # paths a pixel, then denoised: 0.7 s for 288 x 216 on two cores
+
+
+@contextmanager
+def _passing_stage() -> Iterator[bpy.types.Scene]:
+    """A Blender scene of its own; removed at the end with all else that appeared meanwhile."""
+    kept = set(_everything())
+    try:
+        yield bpy.data.scenes.new("picture")
+    finally:
+        bpy.data.batch_remove([block for block in _everything() if block not in kept])
+
+
+def _everything() -> Iterator[bpy.types.ID]:
+    for name in ("scenes", "worlds", "objects", "cameras", "lights", "materials", "images", "meshes"):
+        yield from getattr(bpy.data, name)
+
+
+def _picture_extras(
+    scene: Scene, lit: NDArray[np.float64]
+) -> Iterator[tuple[bpy.types.Mesh, tuple[float, float, float], float]]:
+    """What a picture shows beside walls and objects: mesh, colour and opacity of each."""
+    camera, wall = np.array(scene.camera.location_m), scene.relay_wall
+    yield _pyramid(camera, camera + 0.22 * frustum_edges(scene.camera), base=True), _CAMERA_COLOUR, 1.0
+    if len(lit):
+        yield _pyramid(camera, lit, base=False), _LIGHT_COLOUR, 0.1
+        above = lit + 4e-3 * rotation_matrix(wall.rotation_deg)[:, 2]  # in front of the wall, not in it
+        yield _mesh(above, [tuple(range(len(lit)))]), _LIGHT_COLOUR, 0.55
+    middle = wall_corners(scene.middle_wall)
+    upwards = np.array([0.0, 0.0, 1.0])
+    foot = clipped(middle, [(middle.min(axis=0) + _FOOT_M * upwards, -upwards)])
+    yield _mesh(foot, [tuple(range(len(foot)))]), _MIDDLE_COLOUR, 1.0
+    corners = np.concatenate([wall_corners(wall), middle])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    floor = [
+        (x, y, low[2] - 0.01) for x, y in ((low[0], low[1]), (high[0], low[1]), high[:2], (low[0], high[1]))
+    ]
+    yield _mesh(np.array(floor), [(0, 1, 2, 3)]), _FLOOR_COLOUR, 1.0
+
+
+def _pyramid(apex: NDArray[np.float64], rim: NDArray[np.float64], *, base: bool) -> bpy.types.Mesh:
+    count = len(rim)
+    faces: list[tuple[int, ...]] = [(count, index, (index + 1) % count) for index in range(count)]
+    return _mesh(np.vstack([rim, apex]), [*faces, *([tuple(range(count))] if base else [])])
+
+
+def _mesh(vertices: NDArray[np.float64], faces: list[tuple[int, ...]]) -> bpy.types.Mesh:
+    made = bpy.data.meshes.new("picture")
+    made.from_pydata(vertices.tolist(), [], faces)
+    return made
+
+
+def _show(
+    stage: bpy.types.Scene, mesh: bpy.types.Mesh, colour: tuple[float, float, float], opacity: float
+) -> None:
+    """Put a mesh that lies in world space on the stage."""
+    material = bpy.data.materials.new("picture")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    output, mix = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeMixShader")
+    surface = nodes.new("ShaderNodeBsdfDiffuse")
+    surface.inputs["Color"].default_value = (*colour, 1.0)
+    mix.inputs["Fac"].default_value = opacity
+    links.new(nodes.new("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
+    links.new(surface.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], output.inputs["Surface"])
+    mesh.materials.clear()
+    mesh.materials.append(material)
+    shown = bpy.data.objects.new("picture", mesh)
+    shown.visible_shadow = opacity == 1.0
+    stage.collection.objects.link(shown)
+
+
+def _set_up_view(stage: bpy.types.Scene, scene: Scene, lit: NDArray[np.float64]) -> None:
+    """Place viewer and light by walls and camera alone, so that all scenes of a dataset look alike.
+
+    The viewer looks at the foot of the camera on the middle wall, along that wall towards the relay wall and
+    a little from the object's side: camera and object then stand to both sides, and no wall before either.
+    """
+    camera = np.array(scene.camera.location_m)
+    across = rotation_matrix(scene.middle_wall.rotation_deg)[:, 2]
+    facing = rotation_matrix(scene.relay_wall.rotation_deg)[:, 2]
+    target = camera - (camera - scene.middle_wall.location_m) @ across * across
+    reach = max(np.linalg.norm(point - target) for point in (camera, *lit))
+    up = -camera_axes(scene.camera)[1]
+    beyond = -across * np.sign((camera - target) @ across)  # to the object's side of the middle wall
+    away = facing + 0.7 * up + 0.42 * beyond
+    data = bpy.data.cameras.new("picture")
+    data.angle = radians(42)
+    data.clip_start, data.clip_end = 0.01 * reach, 100 * reach
+    viewer = bpy.data.objects.new("picture", data)
+    viewer.location = target + reach * (0.12 * beyond + 2.3 * away / np.linalg.norm(away))
+    viewer.rotation_euler = BlenderVector(-away).to_track_quat("-Z", "Y").to_euler()
+    sun = bpy.data.objects.new("picture", bpy.data.lights.new("picture", "SUN"))
+    sun.data.energy, sun.data.angle = 2.2, radians(4)
+    shining = -(facing + 1.6 * up + 0.6 * beyond)
+    sun.rotation_euler = BlenderVector(shining).to_track_quat("-Z", "Y").to_euler()
+    for placed in (viewer, sun):
+        stage.collection.objects.link(placed)
+    stage.camera = viewer
+    stage.world = bpy.data.worlds.new("picture")
+    stage.world.use_nodes = True
+    stage.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    stage.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.55
+
+
+def _rendered(stage: bpy.types.Scene, width: int, height: int) -> NDArray[np.uint8]:
+    """(H, W, 3) the stage as Cycles sees it; Blender's other engines need a display."""
+    settings = stage.render
+    settings.engine = "CYCLES"
+    stage.cycles.device, stage.cycles.samples, stage.cycles.seed = "CPU", _PICTURE_SAMPLES, 0
+    stage.cycles.use_denoising = True
+    stage.cycles.max_bounces, stage.cycles.transparent_max_bounces = 2, 16
+    settings.resolution_x, settings.resolution_y, settings.resolution_percentage = width, height, 100
+    stage.view_settings.view_transform = "Standard"
+    settings.image_settings.file_format = "PNG"
+    with tempfile.TemporaryDirectory() as folder, silenced(STDOUT), silenced(STDERR):
+        settings.filepath = str(Path(folder) / "picture.png")
+        bpy.ops.render.render(write_still=True, scene=stage.name)
+        image = bpy.data.images.load(settings.filepath)
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)  # rows from the bottom, as they stand in the file: sRGB
+    flipped = pixels.reshape(height, width, -1)[::-1, :, :3]
+    return np.round(255 * flipped).astype(np.uint8)

@@ -7,10 +7,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass as plain_dataclass
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
@@ -21,6 +22,7 @@ from scenegen.scene import Scene, Split, scene_from_json, scene_id
 from scenegen.whole_files import write_text
 
 DATASET_SCHEMAS = (1, 2)  # readable; the newest is written, and 1 lacks all that has a default below
+_PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
 
 class DatasetError(ValueError):
@@ -132,8 +134,14 @@ class Dataset:
         return scene_from_json(text, str(file))
 
 
-def build_index(preset: Preset, scenes: Sequence[Scene], blender_version: str) -> DatasetIndex:
-    """The index of `scenes`, made from `preset`."""
+def build_index(
+    preset: Preset,
+    scenes: Iterable[Scene],
+    blender_version: str,
+    *,
+    meshes: Mapping[str, str] = MappingProxyType({}),
+) -> DatasetIndex:
+    """The index of `scenes`, made from `preset` and from the `meshes` (shape to SHA-256) that it names."""
     return DatasetIndex(
         generator="night-gen",
         generator_version=version("night-nlos"),
@@ -143,6 +151,8 @@ def build_index(preset: Preset, scenes: Sequence[Scene], blender_version: str) -
         scenes=tuple(
             SceneEntry(id=scene_id(s.index), object_class=s.object_class, split=s.split) for s in scenes
         ),
+        packages={name: version(name) for name in _PACKAGES},
+        meshes=dict(meshes),
     )
 
 

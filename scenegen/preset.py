@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sysconfig
 import tomllib
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -15,7 +15,8 @@ from pydantic.dataclasses import dataclass
 SPEED_OF_LIGHT = 299_792_458.0
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-Shape = Literal["cube", "cylinder", "sphere", "cone", "concave_plane", "parallelepiped"]
+PRIMITIVES = ("cube", "cylinder", "sphere", "cone", "concave_plane", "parallelepiped")
+MESH_PREFIX = "mesh:"  # a shape of the user's own: the prefix, then a file's path from the preset's folder
 Material = Literal["rough", "diffuse"]
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -43,6 +44,22 @@ def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
+def _known_shape(shape: str) -> str:
+    if shape in PRIMITIVES:
+        return shape
+    if not shape.startswith(MESH_PREFIX):
+        raise ValueError(f'no such shape: give {", ".join(PRIMITIVES)} or "{MESH_PREFIX}FILE"')
+    file = shape.removeprefix(MESH_PREFIX)
+    if not file.isprintable() or not file.strip():
+        raise ValueError(f'"{MESH_PREFIX}" must be followed by the name of a mesh file')
+    if PurePosixPath(file).is_absolute() or PureWindowsPath(file).is_absolute():
+        raise ValueError(
+            "a mesh file is named relative to the preset's own folder, so that others find it too"
+        )
+    return shape
+
+
+Shape = Annotated[str, AfterValidator(_known_shape)]  # one of PRIMITIVES, or "mesh:FILE"
 MetreRange = Annotated[tuple[Metres, Metres], AfterValidator(_ascending)]
 DegreeRange = Annotated[tuple[Degrees, Degrees], AfterValidator(_ascending)]
 
@@ -83,7 +100,7 @@ class RotationRanges:
 
 @dataclass(frozen=True, config=STRICT)
 class ShapeSizes:
-    """Extents of each primitive along its own axes, metres.
+    """Extents of each primitive along its own axes, metres; of a mesh, the box that its longest side fills.
 
     The paper gives only a 0.5 m box; these sizes give its background/object pixel ratio (DESIGN 4.10).
     The concave plane is an arc of radius 0.35 m over ±1 rad, 0.6 m high: sagitta, chord, height.
@@ -95,9 +112,12 @@ class ShapeSizes:
     cone: Extent = (0.56, 0.56, 0.55)
     concave_plane: Extent = (0.1609, 0.589, 0.6)
     parallelepiped: Extent = (0.3, 0.3, 0.6)
+    mesh: Length = 0.5
 
     def of(self, shape: Shape) -> Extent:
-        """Extents of one primitive, metres."""
+        """Extents of one primitive, or three times the edge of a mesh's box, metres."""
+        if shape.startswith(MESH_PREFIX):
+            return (self.mesh, self.mesh, self.mesh)
         size: Extent = getattr(self, shape)
         return size
 
@@ -106,14 +126,7 @@ class ShapeSizes:
 class HiddenObjectSettings:
     """What hides behind the corner, and where."""
 
-    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), AfterValidator(_distinct)] = (
-        "cube",
-        "cylinder",
-        "sphere",
-        "cone",
-        "concave_plane",
-        "parallelepiped",
-    )
+    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), AfterValidator(_distinct)] = PRIMITIVES
     composite_fraction: Fraction = 0.142857
     location_m: LocationRanges = LocationRanges()
     rotation_deg: RotationRanges = RotationRanges()

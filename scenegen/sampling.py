@@ -7,7 +7,7 @@ from math import floor
 
 import numpy as np
 
-from scenegen.preset import Preset, Shape, Vector
+from scenegen.preset import Preset, Vector
 from scenegen.scene import COMPOSITE, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000
@@ -111,19 +111,26 @@ def leaks(scenes: Iterable[Scene]) -> list[str]:
     The paper's rule: no object of the train set appears in the test set at the same location or
     orientation; a leak-free dataset gives an empty list.
     """
-    scenes = list(scenes)
+    places = [
+        (
+            scene.id,
+            scene.split == "test",
+            [(part.location_m, part.rotation_deg) for part in scene.hidden_objects],
+        )
+        for scene in scenes
+    ]
     found = []
-    for name in ("location_m", "rotation_deg"):
+    for which, name in enumerate(("location_m", "rotation_deg")):
         seen: dict[Vector, str] = {}
-        for scene in scenes:
-            if scene.split != "test":
-                seen.update({getattr(part, name): scene.id for part in scene.hidden_objects})
+        for scene, is_test, parts in places:
+            if not is_test:
+                seen.update({part[which]: scene for part in parts})
         found += [
-            f"test scene {scene.id} and scene {seen[getattr(part, name)]} share an object's {name}"
-            for scene in scenes
-            if scene.split == "test"
-            for part in scene.hidden_objects
-            if getattr(part, name) in seen
+            f"test scene {scene} and scene {seen[part[which]]} share an object's {name}"
+            for scene, is_test, parts in places
+            if is_test
+            for part in parts
+            if part[which] in seen
         ]
     return found
 
@@ -148,11 +155,7 @@ def _dealt(count: int, fraction: float, start: float) -> int:
 def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -> HiddenObject:
     settings = preset.hidden_object
     shapes = settings.shapes
-    shape: Shape = (
-        shapes[int(rng.random() * len(shapes))]
-        if object_class == COMPOSITE
-        else next(s for s in shapes if s == object_class)
-    )
+    shape = shapes[int(rng.random() * len(shapes))] if object_class == COMPOSITE else object_class
     location, rotation = settings.location_m, settings.rotation_deg
     return HiddenObject(
         shape=shape,

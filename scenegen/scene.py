@@ -27,7 +27,11 @@ Split = Literal["train", "validation", "test"]
 
 @dataclass(frozen=True, config=STRICT)
 class HiddenObject:
-    """One primitive: extents along its own axes, centre, XYZ Euler angles in degrees."""
+    """One primitive or mesh: what it is, where its centre is, XYZ Euler angles in degrees.
+
+    `size_m` are a primitive's extents along its own axes. Of a mesh (shape ``mesh:FILE``) it is the cube
+    that the longest side of the mesh's own bounding box fills; the mesh keeps its proportions.
+    """
 
     shape: Shape
     size_m: Extent

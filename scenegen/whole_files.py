@@ -42,8 +42,11 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
+def whole_folder(path: Path, *, sweep: bool = True) -> Iterator[Path]:
     """Like `whole_file` for a folder and all in it; replaces an older folder of that name.
+
+    Looking for what killed processes left reads all of the parent folder; whoever makes thousands of folders
+    in one calls `remove_leftovers` once and then this with `sweep` off.
 
     Raises
     ------
@@ -52,7 +55,8 @@ def whole_folder(path: Path) -> Iterator[Path]:
     if path.exists() and not path.is_dir():
         raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(path.parent, path.name)
+    if sweep:
+        remove_leftovers(path.parent, path.name)
     partial = _partial_name(path)
     old = partial.with_suffix(".old.partial")
     _remove(partial)  # of an earlier process with our id

@@ -33,6 +33,8 @@ HOME = {
     "mathutils": "scenegen/blender.py",
     "OpenEXR": "itof/exr.py",
     "Imath": "itof/exr.py",
+    "h5py": "render/tal_export.py",
+    "imageio_ffmpeg": "render/movie.py",
 }
 
 

@@ -19,6 +19,7 @@ from model import (
     EvaluationError,
     NightLoss,
     Readout,
+    RowLayout,
     RunError,
     TrainingError,
     TrainSettings,
@@ -91,6 +92,48 @@ def test_a_resumed_run_ends_with_the_weights_of_an_uninterrupted_one(dataset, fi
         assert torch.equal(weight, ends[1]["network"][name]), name
     short = torch.load(finished_run / "checkpoint.pt", weights_only=True)["network"]
     assert any(not torch.equal(weight, short[name]) for name, weight in ends[0]["network"].items())
+
+
+@pytest.fixture
+def streamed(tmp_path, monkeypatch):
+    """A dataset in six pieces, and memory for two windows of two of its scenes, or of one piece."""
+    row_bytes = RowLayout(24, 14, 3).row_bytes
+    monkeypatch.setattr("model.pieces.PIECE_BYTES", 2 * row_bytes)
+    dataset = write_synthetic_dataset(tmp_path / "data", count=12)
+    return dataset, 4 * row_bytes
+
+
+def test_a_resumed_streamed_run_ends_with_the_weights_of_an_uninterrupted_one(streamed, tmp_path, caplog):
+    dataset, memory_bytes = streamed
+    long = settings(max_epochs=4, batch_size=5)
+    whole = train(dataset, tmp_path / "whole", long, memory_bytes=memory_bytes)
+    half = settings(max_epochs=2, batch_size=5)
+    train(dataset, tmp_path / "run", half, memory_bytes=memory_bytes)
+    # A machine with more memory keeps the windows, one with less too, and says so.
+    three = settings(max_epochs=3, batch_size=5)
+    train(dataset, tmp_path / "run", three, resume=True)
+    assert caplog.text == ""
+    assert train(dataset, tmp_path / "run", long, resume=True, memory_bytes=0) == whole
+    assert "goes on so" in caplog.text
+    weights = (tmp_path / "run" / "best.safetensors").read_bytes()
+    assert weights == (tmp_path / "whole" / "best.safetensors").read_bytes()
+    ends = [torch.load(tmp_path / n / "checkpoint.pt", weights_only=True) for n in ("run", "whole")]
+    for name, weight in ends[0]["network"].items():
+        assert torch.equal(weight, ends[1]["network"][name]), name
+
+
+def test_pieces_change_nothing_as_long_as_memory_holds_them_all(streamed, dataset, finished_run, tmp_path):
+    train(streamed[0], tmp_path / "pieces", settings())
+    weights = (finished_run / "best.safetensors").read_bytes()
+    assert (tmp_path / "pieces" / "best.safetensors").read_bytes() == weights
+    train(streamed[0], tmp_path / "streamed", settings(), memory_bytes=streamed[1])
+    assert (tmp_path / "streamed" / "best.safetensors").read_bytes() != weights
+
+
+def test_evaluation_over_many_pieces_is_that_over_one(streamed, dataset, finished_run, tmp_path):
+    one = evaluate(finished_run, dataset, tmp_path / "one", device="cpu", progress=False)
+    many = evaluate(finished_run, streamed[0], tmp_path / "many", device="cpu", progress=False)
+    assert many == one
 
 
 def test_an_interrupted_epoch_is_begun_again(dataset, tmp_path):
@@ -358,10 +401,11 @@ def test_point_clouds_of_the_truth_lie_at_its_depth_on_the_pixels_rays(dataset, 
     shards = open_shards(dataset)
     row = shards.rows("validation")[0]
     cloud = trimesh.load(tmp_path / "report" / "pointclouds" / f"{shards.ids([row])[0]}_gt.ply")
-    mask = shards.mask[row] > 0
+    truth = shards.read([row])
+    mask = truth.mask[0] > 0
     height, width = mask.shape
     rays = pixel_rays(width, height, dataset.preset.camera.horizontal_fov_deg)
-    expected = (rays * shards.radial_depth_m[row][..., None])[mask]
+    expected = (rays * truth.radial_depth_m[0][..., None])[mask]
     np.testing.assert_allclose(cloud.vertices, expected, rtol=1e-6, atol=1e-6)
     # An evaluation elsewhere leaves nothing of the old one behind.
     evaluate(finished_run, dataset, tmp_path / "report", split="test", device="cpu", progress=False)
@@ -383,11 +427,8 @@ def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(dat
 def best_constant_loss(dataset, loss) -> float:
     """Loss on the training scenes of the best output that is the same everywhere: nothing was seen."""
     shards = open_shards(dataset)
-    rows = shards.rows("train")
-    truth = [
-        torch.from_numpy(np.array(array[rows]))
-        for array in (shards.target, shards.radial_depth_m, shards.mask)
-    ]
+    block = shards.read(shards.rows("train"))
+    truth = [torch.from_numpy(array) for array in (block.target, block.radial_depth_m, block.mask)]
     outputs = [
         torch.tensor([z.real, z.imag], dtype=torch.float32)[:, None, None].expand(truth[0].shape)
         for amplitude in np.linspace(0, 1, 11)

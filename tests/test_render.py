@@ -18,7 +18,7 @@ from itof import (
     pixel_rays,
     read_image,
 )
-from render import MethodOptions, PathTracer, Renderer, RenderError, RenderSettings, View
+from render import Inventory, MethodOptions, PathTracer, Renderer, RenderError, RenderSettings, View
 from scenegen import Dataset, camera_axes, wall_normal
 
 WIDTH, HEIGHT = 32, 24
@@ -268,29 +268,29 @@ def test_the_same_seed_gives_the_same_paths(rough_cube, variant):
     assert np.abs(a - c).max() > 1e-4
 
 
+def state(dataset, settings):
+    return Inventory(dataset, settings).state("000000")
+
+
 def test_a_finished_scene_is_kept_and_a_changed_recipe_is_not(rendered):
-    same = Renderer(rendered, path_settings(256))
-    assert same.is_done("000000")
-    assert not Renderer(rendered, path_settings(128)).is_done("000000")
-    half = path_settings(256, resolution=(WIDTH // 2, HEIGHT // 2))
-    assert not Renderer(rendered, half).is_done("000000")
+    assert state(rendered, path_settings(256)) == "done"
+    assert state(rendered, path_settings(128)) == "other"
+    assert state(rendered, path_settings(256, resolution=(WIDTH // 2, HEIGHT // 2))) == "other"
 
 
-def test_a_damaged_or_changed_scene_is_rendered_again(rendered, tmp_path):
+def test_a_damaged_or_changed_scene_is_not_done(rendered, tmp_path):
     shutil.copytree(rendered.root, tmp_path / "copy")
     copy = Dataset(tmp_path / "copy", rendered.index)
-    renderer = Renderer(copy, path_settings(256))
-    assert renderer.is_done("000000")
     for name in ("itof.exr", "mirrored.exr", "transient.exr", "mirrored_transient.exr"):
         file = copy.render_folder("000000") / name
         whole = file.read_bytes()
-        file.write_bytes(whole[:-5])
-        assert not renderer.is_done("000000"), name
+        file.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+        assert state(copy, path_settings(256)) == "damaged", name
         file.write_bytes(whole)
-    assert renderer.is_done("000000")
+    assert state(copy, path_settings(256)) == "done"
     mesh = copy.scene_folder("000000") / "hidden_object_0.ply"
     mesh.write_bytes(mesh.read_bytes()[:-1] + b"\x01")
-    assert not renderer.is_done("000000")
+    assert state(copy, path_settings(256)) == "other"
 
 
 def test_transients_of_other_settings_do_not_stay_beside_new_phasors(rendered, tmp_path):
@@ -305,7 +305,7 @@ def test_transients_of_other_settings_do_not_stay_beside_new_phasors(rendered, t
 
 
 def test_a_time_axis_that_fits_no_memory_is_refused_before_rendering(rendered, monkeypatch):
-    monkeypatch.setattr("render.rendering._WORKING_COPIES", 10**9)
+    monkeypatch.setattr("render.settings._WORKING_COPIES", 10**9)
     with pytest.raises(RenderError, match=r"one image row of 32 pixels x 1500 bins needs .* GB"):
         Renderer(rendered, path_settings(4))
 

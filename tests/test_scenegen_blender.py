@@ -40,7 +40,8 @@ def written(maker, tmp_path):
     def write(scene):
         folder = tmp_path / "scene"
         folder.mkdir(exist_ok=True)
-        maker.write(scene, folder)
+        for name, contents in maker.files(scene).items():
+            (folder / name).write_bytes(contents)
         return folder
 
     return write

@@ -97,6 +97,17 @@ def test_a_diffuse_wall_has_no_roughness():
     assert sample_scene(preset, 0).relay_wall.roughness is None
 
 
+def test_a_mesh_is_a_shape_like_any_other_in_a_box_of_half_a_metre():
+    shapes = ["cube", "mesh:animals/bunny.ply", "mesh:../teapot.obj"]
+    preset = preset_from_dict({"hidden_object": {"shapes": shapes}}, "meshes")
+    scenes = [sample_scene(preset, index) for index in range(70)]
+    assert set(Counter(scene.object_class for scene in scenes)) == {*shapes, "composite"}
+    parts = [part for scene in scenes for part in scene.hidden_objects]
+    assert {part.size_m for part in parts} == {(0.5, 0.5, 0.5)}  # the paper's cube has that size too
+    for scene in scenes:
+        assert scene_from_json(scene_to_json(scene), "here") == scene
+
+
 def test_scene_json_round_trips(paper_scenes):
     for scene in paper_scenes[:20]:
         assert scene_from_json(scene_to_json(scene), "here") == scene
@@ -129,6 +140,11 @@ def test_a_preset_without_room_is_refused_by_reason(paper):
         ({"hidden_object": {"location_m": {"x": [2, 1]}}}, "hidden_object.location_m.x: range .* is empty"),
         ({"hidden_object": {"location_m": {"x": [1]}}}, "hidden_object.location_m.x"),
         ({"hidden_object": {"shapes": ["teapot"]}}, "hidden_object.shapes.*teapot"),
+        ({"hidden_object": {"shapes": ["mesh:"]}}, "name of a mesh file"),
+        ({"hidden_object": {"shapes": ["mesh:a\nb.ply"]}}, "name of a mesh file"),
+        ({"hidden_object": {"shapes": ["mesh:/home/me/bunny.ply"]}}, "relative to the preset's own folder"),
+        ({"hidden_object": {"shapes": ["mesh:C:\\bunny.ply"]}}, "relative to the preset's own folder"),
+        ({"hidden_object": {"size_m": {"mesh": 0.0}}}, "hidden_object.size_m.mesh"),
         ({"hidden_object": {"shapes": ["cube"]}}, "two different shapes"),
         ({"hidden_object": {"shapes": ["cube", "cube"]}}, "twice"),
         ({"relay_wall": {"material": "velvet"}}, "relay_wall.material"),

@@ -1,0 +1,115 @@
+"""What a dataset costs: scenes an hour of every stage here, and what that makes of 1344 and 100,000 scenes.
+
+Stages are measured on this machine, the scheduler's share with jobs that do nothing; the projection is
+cost a scene / workers, or the scheduler's share if that is more. A worker is one like this machine.
+
+    .venv/bin/python benchmarks/dataset_cost.py --size 160x120
+"""
+
+import argparse
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from model import open_shards
+from render import MethodOptions, RenderSettings
+from render.clusters import connected
+from render.jobs import Job, Outcome
+from render.queue import RenderQueue
+from scenegen import Dataset, preset_from_dict
+from scenegen.blender import BlenderMaker
+from scenegen.generation import generate
+
+WARM_UP = 7  # one of each class: all kernels are compiled then
+NO_OPS = 10_000
+WORKERS = (1, 8, 64)
+SCENES = (1344, 100_000)
+
+
+def main() -> None:
+    """Measure all stages and print two tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", default="160x120", help="image size, default 160x120")
+    parser.add_argument("--scenes", type=int, default=28, help="scenes to render to phasors, default 28")
+    parser.add_argument("--transients", type=int, default=14, help="scenes to render to transients")
+    parser.add_argument("--error", type=float, default=0.01, help="of the hidden signal, default 0.01")
+    given = parser.parse_args()
+    width, height = map(int, given.size.split("x"))
+    with TemporaryDirectory() as folder:
+        root = Path(folder)
+        costs = {"scenes (Blender)": scene_cost(root / "scenes")}
+        settings = RenderSettings(options=MethodOptions(error=given.error))
+        preset = {"dataset": {"count": given.scenes}, "camera": {"width": width, "height": height}}
+        dataset = generate(root / "data", preset_from_dict(preset, "cost"), BlenderMaker(), lambda: None)
+        with connected(workers=1, scheduler=None, cluster_file=None, device="auto") as client:
+            costs["phasors (itof)"] = render_cost(client, dataset, settings, given.scenes)
+            both = replace(settings, product="both")
+            costs["transients and phasors"] = render_cost(client, dataset, both, given.transients)
+        costs["shards"] = shard_cost(dataset)
+        overhead = scheduler_cost(dataset)
+    report(costs, overhead, given)
+
+
+def scene_cost(root: Path) -> float:
+    """Seconds a scene that Blender takes, in one process."""
+    maker, count = BlenderMaker(), 200
+    started = time.perf_counter()
+    generate(root, preset_from_dict({"dataset": {"count": count}}, "cost"), maker, lambda: None)
+    return (time.perf_counter() - started) / count
+
+
+def render_cost(client: object, dataset: Dataset, settings: RenderSettings, count: int) -> float:
+    """Seconds a scene that one worker takes, after its kernels are compiled."""
+    ids = dataset.ids()[:count]
+    queue = RenderQueue(client, dataset, settings, "warm-up", lambda *_: None)
+    queue.run(ids[:WARM_UP])
+    started = time.perf_counter()
+    queue.run(ids[WARM_UP:])
+    return (time.perf_counter() - started) / (count - WARM_UP)
+
+
+def shard_cost(dataset: Dataset) -> float:
+    """Seconds a scene of making the shards that training reads."""
+    started = time.perf_counter()
+    open_shards(dataset)
+    return (time.perf_counter() - started) / len(dataset.ids())
+
+
+def no_op(job: Job) -> Outcome:
+    """A job that does nothing."""
+    return Outcome(job.scene_id, "rendered")
+
+
+def scheduler_cost(dataset: Dataset) -> float:
+    """Seconds a job that queue and scheduler take by themselves."""
+    with connected(workers=2, scheduler=None, cluster_file=None, device="cpu") as client:
+        queue = RenderQueue(client, dataset, RenderSettings(), "no-op", lambda *_: None, work=no_op)
+        queue.run(f"{number:06d}" for number in range(100))
+        started = time.perf_counter()
+        queue.run(f"{number:06d}" for number in range(NO_OPS))
+        return (time.perf_counter() - started) / NO_OPS
+
+
+def report(costs: dict[str, float], overhead: float, given: argparse.Namespace) -> None:
+    """Print what was measured and what follows."""
+    cores = len(os.sched_getaffinity(0))
+    print(f"{given.size} pixels, hidden-signal error {given.error}, {cores} cores\n")
+    print("| stage | seconds a scene | scenes an hour |\n|---|---|---|")
+    for stage, seconds in costs.items():
+        print(f"| {stage} | {seconds:.3g} | {3600 / seconds:,.0f} |")
+    print(
+        f"| scheduler alone ({NO_OPS:,} empty jobs, two workers) | {overhead:.2g} | {3600 / overhead:,.0f} |"
+    )
+    header = " | ".join(f"{count:,} on {workers}" for count in SCENES for workers in WORKERS)
+    print(f"\n| hours for scenes on workers | {header} |\n|---|{'---|' * len(SCENES) * len(WORKERS)}")
+    for stage in ("phasors (itof)", "transients and phasors"):
+        hours = [
+            count * max(costs[stage] / workers, overhead) / 3600 for count in SCENES for workers in WORKERS
+        ]
+        print(f"| {stage} | {' | '.join(f'{h:.2g}' if h < 10 else f'{h:.0f}' for h in hours)} |")
+
+
+if __name__ == "__main__":
+    main()

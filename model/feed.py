@@ -1,0 +1,116 @@
+"""Batches of a split, from memory where all of it fits, else streamed from the disk piece by piece."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import torch
+
+from model.order import shuffled_windows, windows_in_order
+from model.rows import RowBlock
+from model.shards import Shards
+
+MEMORY_PART = 0.25  # of the machine's memory, for the rows of one split
+_CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+class Feed:
+    """Rows of a split as batches.
+
+    With `window_rows` for all of them, they are read once and held. Otherwise a thread reads the next
+    window while this one is used, each piece of the shards whole and once an epoch; a batch may take its
+    last rows from the next window.
+
+    Attributes
+    ----------
+    rows : of the shards, in ascending order.
+    window_rows : how many of them are held at once; a window is never less than the rows of one piece.
+    """
+
+    def __init__(self, shards: Shards, rows: Sequence[int], window_rows: int) -> None:
+        self.rows, self.window_rows = list(rows), window_rows
+        self._shards, self._per_piece = shards, shards.manifest.scenes_per_piece
+        self._held: RowBlock | None = None
+
+    @property
+    def is_resident(self) -> bool:
+        """Whether all rows are held in memory."""
+        return len(self.rows) <= self.window_rows
+
+    def shuffled(self, batch_size: int, generator: torch.Generator) -> Iterator[RowBlock]:
+        """Every row once, in random order; all that is drawn from `generator` is drawn now."""
+        windows = shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)
+        return _batches(self._blocks(windows), batch_size)
+
+    def in_order(self, batch_size: int) -> Iterator[RowBlock]:
+        """Every row once, in ascending order."""
+        windows = windows_in_order(self.rows, self._per_piece, self.window_rows)
+        return _batches(self._blocks(windows), batch_size)
+
+    def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
+        """Each window's rows in the order wanted, and the block that holds them."""
+        if not self.is_resident:
+            yield from _read_ahead(self._shards, windows)
+            return
+        if self._held is None:
+            self._held = self._shards.read(self.rows)
+        yield from ((window, self._held) for window in windows)
+
+
+def window_rows(shards: Shards, row_count: int, memory_bytes: int | None = None) -> int:
+    """How many of `row_count` rows to hold at once: all, or what half of the memory takes.
+
+    The other half is for the window that is read ahead.
+
+    Parameters
+    ----------
+    memory_bytes : that the rows may take; by default MEMORY_PART of the machine's memory.
+    """
+    allowed = int(MEMORY_PART * machine_bytes()) if memory_bytes is None else memory_bytes
+    row_bytes = shards.manifest.layout.row_bytes
+    return row_count if row_count * row_bytes <= allowed else allowed // (2 * row_bytes)  # 2 windows
+
+
+def machine_bytes() -> int:
+    """Memory of this machine, or of the container it is."""
+    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    for name in _CONTAINER_LIMITS:
+        try:
+            total = min(total, int(Path(name).read_text(encoding="ascii")))
+        except (OSError, ValueError):  # no such control group, or "max"
+            continue
+    return total
+
+
+def _read_ahead(shards: Shards, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
+    """Windows and their rows; while one is used, a thread reads the next."""
+    if not windows:
+        return
+    with ThreadPoolExecutor(1, "shards") as pool:
+        ahead = pool.submit(shards.read, windows[0])
+        for index, window in enumerate(windows):
+            block = ahead.result()
+            if index + 1 < len(windows):
+                ahead = pool.submit(shards.read, windows[index + 1])
+            yield window, block
+            del block  # else three windows would be in memory
+
+
+def _batches(windows: Iterable[tuple[list[int], RowBlock]], size: int) -> Iterator[RowBlock]:
+    """Cut windows into batches of `size` rows; only the last batch of all may have fewer."""
+    begun: RowBlock | None = None
+    for order, block in windows:
+        start = 0
+        while start < len(order):
+            end = start + size - (len(begun) if begun else 0)
+            part = block.take(order[start:end])
+            begun = part if begun is None else begun.joined(part)
+            start = end
+            if len(begun) == size:
+                yield begun
+                begun = None
+    if begun is not None:
+        yield begun

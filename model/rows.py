@@ -1,0 +1,85 @@
+"""Rows of the shards in memory: measurements and ground truth of some scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from itof import join_components
+
+ARRAYS = ("phasors", "target", "radial_depth_m", "mask")
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """Shape of one row: what a scene takes in a shard, beside the scenes before and after it."""
+
+    width: int
+    height: int
+    frequency_count: int
+
+    @property
+    def arrays(self) -> dict[str, tuple[DTypeLike, tuple[int, ...]]]:
+        """Type and shape of a row in each array; components are real parts, then imaginary parts."""
+        image = (self.height, self.width)
+        return {
+            "phasors": (np.float32, (self.frequency_count + self.frequency_count, *image)),
+            "target": (np.float32, (2, *image)),
+            "radial_depth_m": (np.float32, image),
+            "mask": (np.uint8, image),
+        }
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row in all arrays together."""
+        return sum(np.dtype(t).itemsize * int(np.prod(shape)) for t, shape in self.arrays.values())
+
+    def empty(self, rows: Sequence[int]) -> RowBlock:
+        """Room for some rows, not filled yet."""
+        arrays = {name: np.empty((len(rows), *shape), dtype) for name, (dtype, shape) in self.arrays.items()}
+        return RowBlock(tuple(rows), **arrays)
+
+
+@dataclass(frozen=True)
+class RowBlock:
+    """Some rows of the shards, read into memory.
+
+    Attributes
+    ----------
+    rows : n row numbers, in the order of the arrays.
+    phasors : (n, 2F, H, W) float32, F real parts, then F imaginary parts.
+    target : (n, 2, H, W) float32, Re and Im of the mirrored scene at the first frequency.
+    radial_depth_m : (n, H, W) float32, 0 on background.
+    mask : (n, H, W) uint8.
+    """
+
+    rows: tuple[int, ...]
+    phasors: NDArray[np.float32]
+    target: NDArray[np.float32]
+    radial_depth_m: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def complex_phasors(self) -> NDArray[np.complex128]:
+        """(n, H, W, F) phasors."""
+        return join_components(np.moveaxis(self.phasors, 1, -1))
+
+    def take(self, rows: Sequence[int]) -> RowBlock:
+        """A copy of some of the rows, in the order asked for."""
+        chosen = [self._places[row] for row in rows]
+        return RowBlock(tuple(rows), **{name: getattr(self, name)[chosen] for name in ARRAYS})
+
+    def joined(self, other: RowBlock) -> RowBlock:
+        """These rows and then the other's."""
+        arrays = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
+        return RowBlock(self.rows + other.rows, **arrays)
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        return {row: place for place, row in enumerate(self.rows)}

@@ -1,0 +1,148 @@
+"""Plans, claims and status: what is said before and during a run is what the disk shows."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from render import MethodOptions, Renderer, RenderSettings, read_status
+from render.claims import OtherRunError, attempts_of, claimed, joined_run, running
+from render.inventory import Inventory
+from render.plan import make_plan, size
+from render.settings import settings_of
+from render.status import duration
+from scenegen import RECORD_FILE, RenderingProvenance, read_record
+
+LIGHTS = MethodOptions(lights=256)
+
+
+@pytest.fixture(scope="module")
+def dataset(make_dataset):
+    return make_dataset({"dataset": {"count": 7}, "camera": {"width": 64, "height": 48}})
+
+
+@pytest.fixture(scope="module")
+def rendered(dataset, variant):
+    renderer = Renderer(dataset, RenderSettings(product="both", options=LIGHTS, device="cpu"))
+    for scene_id in dataset.ids()[:3]:
+        renderer.render(scene_id)
+    return dataset
+
+
+def test_an_estimate_is_about_what_scenes_turn_out_to_take(rendered):
+    settings = RenderSettings(product="both", options=LIGHTS)
+    blind = make_plan(rendered, settings, rendered.ids(), [])
+    informed = make_plan(rendered, settings, rendered.ids(), rendered.ids()[:3])
+    records = [read_record(rendered.render_folder(scene)) for scene in rendered.ids()[:3]]
+    measured = sum(file.bytes for record in records for file in record.files.values()) / 3
+    assert informed.scene_bytes == pytest.approx(measured, rel=1e-3)
+    # Small images compress worse or better than large ones; a plan must not be off by a factor.
+    assert 0.5 < blind.scene_bytes / measured < 2.5
+
+
+def test_a_plan_that_does_not_fit_says_what_would(dataset):
+    plan = make_plan(dataset, RenderSettings(product="both"), dataset.ids(), [])
+    assert plan.refusal() is None
+    tight = dataclasses.replace(plan, free_bytes=plan.needed_bytes // 5)
+    refusal = tight.refusal()
+    assert "--product itof needs" in refusal
+    assert "--resolution 16x12 fits" in refusal  # a 16th of the pixels; a quarter of them is too many
+    assert "1 scenes fit" in refusal
+    small = dataclasses.replace(tight, settings=RenderSettings(product="itof"))
+    assert small.refusal() is None
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(0, "0 bytes"), (999, "999 bytes"), (5_500_000, "5.5 MB"), (123e9, "123 GB"), (4.2e15, "4200 TB")],
+)
+def test_sizes_read_as_people_write_them(count, words):
+    assert size(count) == words
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(5, "5 s"), (600, "10 min"), (7200, "2.0 h"), (1e6, "11.6 days")]
+)
+def test_spans_of_time_read_as_people_say_them(seconds, words):
+    assert duration(seconds) == words
+
+
+def test_settings_survive_the_way_through_dataset_json(dataset):
+    given = RenderSettings(method="path", product="both", options=MethodOptions(spp=7), resolution=(32, 24))
+    note = RenderingProvenance(
+        method=given.method,
+        product=given.product,
+        max_bounces=given.bounces(dataset),
+        options=dataclasses.asdict(given.options),
+        width=32,
+        height=24,
+        packages={},
+        scene_count=0,
+        hidden_error_median=None,
+        hidden_error_max=None,
+    )
+    assert settings_of(note, dataset) == given
+
+
+def test_a_claim_counts_attempts_of_one_run_and_forgets_those_of_another(tmp_path):
+    with claimed(tmp_path, "000001") as claim:
+        assert [claim.begin("first"), claim.begin("first")] == [1, 2]
+    assert attempts_of(tmp_path, "000001", "first") == 2
+    assert attempts_of(tmp_path, "000001", "second") == 0
+    with claimed(tmp_path, "000001") as claim:
+        assert claim.begin("second") == 1
+        claim.forget()
+    assert attempts_of(tmp_path, "000001", "second") == 0
+    assert running(tmp_path) == []
+
+
+def test_a_claim_is_one_process_s_and_dies_with_it(tmp_path):
+    code = (
+        "import sys, time, pathlib; from render.claims import claimed\n"
+        "with claimed(pathlib.Path(sys.argv[1]), '000007') as claim:\n"
+        "    print(claim is not None, flush=True); time.sleep(60)"
+    )
+    holder = subprocess.Popen([sys.executable, "-c", code, tmp_path], stdout=subprocess.PIPE, text=True)
+    assert holder.stdout.readline() == "True\n"
+    assert running(tmp_path) == ["000007"]
+    with claimed(tmp_path, "000007") as claim:
+        assert claim is None
+    holder.kill()
+    holder.communicate()
+    assert running(tmp_path) == []
+    with claimed(tmp_path, "000007") as claim:
+        assert claim is not None
+
+
+def test_runs_of_the_same_settings_go_together_and_others_wait(tmp_path):
+    renders = tmp_path / "renders"
+    with joined_run(renders, "one"), joined_run(renders, "one"):
+        with pytest.raises(OtherRunError, match="with other settings"), joined_run(renders, "two"):
+            pytest.fail("two kinds of settings at once")
+    with joined_run(renders, "two"):
+        pass
+
+
+def test_the_pace_is_that_of_the_latest_scenes_without_the_pause_before(rendered):
+    settings = RenderSettings(product="both", options=LIGHTS)
+    now = time.time()
+    for scene_id, age_s in zip(rendered.ids(), (9000, 20, 10), strict=False):
+        os.utime(rendered.render_folder(scene_id) / RECORD_FILE, (now - age_s, now - age_s))
+    assert read_status(rendered, settings).scenes_per_hour is None  # nothing is being rendered
+    with claimed(rendered.root / "renders", "000003"):
+        status = read_status(rendered, settings)
+    assert status.running == ["000003"]
+    # Two scenes in the 20 s since the first of them was done, give or take the time this takes.
+    assert status.scenes_per_hour == pytest.approx(3600 / 20, rel=0.2)
+    assert status.sentences()[0] == "7 scenes: 3 done, 1 running, 0 failed, 3 missing"
+
+
+def test_a_smaller_product_is_contained_in_a_larger_one(rendered):
+    states = {
+        product: Inventory(rendered, RenderSettings(product=product, options=LIGHTS)).state("000000")
+        for product in ("itof", "transient", "both")
+    }
+    assert set(states.values()) == {"done"}

@@ -1,0 +1,206 @@
+"""Verification: what is right passes, and every kind of wrong content is named, even with hashes that fit."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from itof import (
+    SPEED_OF_LIGHT,
+    TransientReader,
+    TransientWriter,
+    pixel_rays,
+    pixel_types,
+    read_image,
+    write_image,
+)
+from render import MethodOptions, Renderer, RenderSettings, verify
+from render.geometry import traced_depth_m
+from render.verification import BINNED_TOLERANCE, verify_scene
+from scenegen import (
+    FileRecord,
+    camera_axes,
+    open_dataset,
+    read_record,
+    sha256_of,
+    wall_normal,
+    write_record,
+)
+
+SCENES = ("000000", "000006")  # a cube and, of seven scenes, the composite
+
+
+@pytest.fixture(scope="module")
+def rendered(make_dataset, variant):
+    dataset = make_dataset({"dataset": {"count": 7}, "camera": {"width": 48, "height": 36}})
+    options = MethodOptions(lights=512)
+    renderer = Renderer(dataset, RenderSettings(product="both", options=options, device="cpu"))
+    for scene_id in SCENES:
+        renderer.render(scene_id)
+    return dataset
+
+
+@pytest.fixture
+def copy(rendered, tmp_path):
+    shutil.copytree(rendered.root, tmp_path / "data")
+    return open_dataset(tmp_path / "data")
+
+
+def record_anew(dataset, scene_id):
+    """Record the files as they are now, as a program would that wrote them wrong."""
+    folder = dataset.render_folder(scene_id)
+    record = read_record(folder)
+    files = {
+        name: FileRecord(bytes=(folder / name).stat().st_size, sha256=sha256_of(folder / name))
+        for name in record.files
+    }
+    write_record(folder, dataclasses.replace(record, files=files))
+
+
+def rewrite(dataset, scene_id, name, change):
+    file = dataset.render_folder(scene_id) / name
+    image = read_image(file)
+    channels = {key: values.copy() for key, values in image.channels.items()}
+    change(channels)
+    write_image(file, channels, image.attributes)
+    record_anew(dataset, scene_id)
+
+
+def test_what_was_rendered_is_right(rendered):
+    assert verify(rendered, rendered.ids()).problems == {}
+    assert verify(rendered, rendered.ids()).checked == len(SCENES)
+    assert verify(rendered, rendered.ids(), workers=2).problems == {}
+
+
+def test_depth_by_hand_is_that_of_a_sphere(make_dataset):
+    shapes = {"shapes": ["sphere"], "composite_fraction": 0.0}
+    dataset = make_dataset({"dataset": {"count": 1}, "hidden_object": shapes})
+    scene = dataset.scene("000000")
+    rows, columns = (grid.ravel() for grid in np.mgrid[0:36, 0:48])
+    depth_m = traced_depth_m(dataset, scene.id, (36, 48), rows, columns)
+    normal, point = wall_normal(scene.relay_wall), np.array(scene.relay_wall.location_m)
+    centre = np.array(scene.hidden_objects[0].location_m)
+    centre = centre - 2 * ((centre - point) @ normal) * normal
+    rays = pixel_rays(48, 36, scene.camera.horizontal_fov_deg)[rows, columns] @ camera_axes(scene.camera)
+    towards = centre - np.array(scene.camera.location_m)
+    along = rays @ towards
+    apart = towards @ towards - along**2
+    radius_m = scene.hidden_objects[0].size_m[0] / 2  # half a diameter, no path
+    hit = apart < (0.98 * radius_m) ** 2  # the mesh's edges lie inside the sphere
+    expected_m = along[hit] - np.sqrt(radius_m**2 - apart[hit])
+    # A facet lies up to r (1 - cos(pi/64)^2) inside, seen at up to 1/0.2 at 98 % of the radius.
+    np.testing.assert_allclose(depth_m[hit], expected_m, atol=5 * radius_m * (np.pi / 64) ** 2)
+    assert hit.sum() > 20
+    assert not depth_m[apart > radius_m**2].any()
+
+
+def shifted_depth(channels):
+    channels["depth.R"] += np.float32(0.002) * channels["mask.M"]
+    z = channels["mask.M"] * np.exp(4j * np.pi * 20e6 / SPEED_OF_LIGHT * channels["depth.R"])
+    channels["itof.20MHz.Re"], channels["itof.20MHz.Im"] = z.real.copy(), z.imag.copy()
+
+
+def flipped(channels):
+    for name, values in channels.items():
+        channels[name] = values[:, ::-1].copy()
+
+
+def with_nan(channels):
+    channels["hidden.50MHz.Im"][3, 4] = np.nan
+
+
+def scaled_hidden(channels):
+    channels["hidden.60MHz.Re"] *= np.float32(1.1)
+
+
+def wrong_mask(channels):
+    channels["mask.M"][0, 0] = 1 - channels["mask.M"][0, 0]
+
+
+def wrong_phase(channels):
+    channels["itof.20MHz.Im"] *= -1
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("mirrored.exr", shifted_depth, "is not that of the geometry"),
+        ("mirrored.exr", flipped, "is not that of the geometry"),
+        ("mirrored.exr", wrong_mask, "depth and mask do not fit"),
+        ("mirrored.exr", wrong_phase, "phasor and depth do not fit"),
+        ("itof.exr", with_nan, "hidden.50MHz.Im holds NaN"),
+        ("itof.exr", scaled_hidden, "do not add up"),
+        ("itof.exr", flipped, "phasors are not those of itof.exr"),
+    ],
+)
+def test_wrong_contents_are_named_though_their_hash_fits(copy, name, change, words):
+    rewrite(copy, "000006", name, change)
+    report = verify(copy, copy.ids())
+    assert list(report.problems) == ["000006"]
+    assert any(words in problem for problem in report.problems["000006"]), report.problems
+    assert read_record(copy.render_folder("000006")) is None  # the next run renders it again
+    assert read_record(copy.render_folder("000000")) is not None
+
+
+def test_a_transient_shifted_by_one_bin_is_named(copy):
+    file = copy.render_folder("000000") / "transient.exr"
+    with TransientReader(file) as reader:
+        layout, attributes = reader.layout, reader.attributes
+        transient = np.concatenate(list(reader.row_blocks()))
+    with TransientWriter(file, layout, attributes) as writer:
+        writer.write_rows(np.roll(transient, 1, axis=-1))
+    record_anew(copy, "000000")
+    assert verify_scene(copy, "000000") == ["transient.exr: its phasors are not those of itof.exr"]
+
+
+def test_a_transient_with_one_nan_is_named(copy):
+    file = copy.render_folder("000000") / "mirrored_transient.exr"
+    with TransientReader(file) as reader:
+        layout, attributes = reader.layout, reader.attributes
+        transient = np.concatenate(list(reader.row_blocks()))
+    transient[5, 7, 11] = np.nan
+    with TransientWriter(file, layout, attributes) as writer:
+        writer.write_rows(transient)
+    record_anew(copy, "000000")
+    assert verify_scene(copy, "000000") == ["mirrored_transient.exr holds NaN or infinity"]
+
+
+def test_half_floats_are_named(copy):
+    file = copy.render_folder("000000") / "itof.exr"
+    image = read_image(file)
+    halves = {name: values.astype(np.float16) for name, values in image.channels.items()}
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, halves) as exr:
+        exr.write(str(file))
+    assert set(pixel_types(file).values()) == {"HALF"}
+    record_anew(copy, "000000")
+    assert any("another type than float32" in problem for problem in verify_scene(copy, "000000"))
+
+
+def test_a_scene_changed_after_it_was_rendered_is_named(copy):
+    file = copy.scene_folder("000000") / "scene.xml"
+    file.write_text(file.read_text() + "<!-- -->")
+    assert verify_scene(copy, "000000") == ["the scene was changed after it was rendered"]
+
+
+def test_a_render_of_another_size_than_recorded_is_named(copy):
+    folder = copy.render_folder("000000")
+    record = read_record(folder)
+    recipe = json.loads(record.recipe) | {"size": [24, 18]}
+    write_record(folder, dataclasses.replace(record, recipe=json.dumps(recipe)))
+    assert any("48x36 pixels instead of 24x18" in problem for problem in verify_scene(copy, "000000"))
+
+
+def test_the_tolerance_of_binned_phasors_lies_between_right_and_one_bin_off(rendered):
+    folder = rendered.render_folder("000000")
+    image = read_image(folder / "itof.exr")
+    exact, frequencies_hz = image.phasors()
+    hidden = np.linalg.norm(image.phasors("hidden")[0])
+    with TransientReader(folder / "transient.exr") as reader:
+        binned = reader.phasors(frequencies_hz)
+        axis = reader.layout
+    assert np.linalg.norm(binned - exact) < BINNED_TOLERANCE / 2 * hidden
+    turn = np.exp(2j * np.pi * np.array(frequencies_hz) * axis.bin_width_m / SPEED_OF_LIGHT)
+    assert np.linalg.norm(binned * turn - exact) > 2 * BINNED_TOLERANCE * hidden
