@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import median
+from statistics import median_low
 
 from render.claims import running
 from render.inventory import Inventory, State
@@ -110,7 +110,7 @@ def _pace(times: list[float]) -> float | None:
     gaps = [after - before for before, after in pairwise(latest)]
     if not gaps:
         return None
-    pauses = [index for index, gap in enumerate(gaps) if gap > _PAUSE_S + 10 * median(gaps)]
+    pauses = [index for index, gap in enumerate(gaps) if gap > _PAUSE_S + 10 * median_low(gaps)]
     if pauses:
         latest = latest[pauses[-1] + 1 :]
     span = time.time() - latest[0]

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from click.testing import CliRunner
+from night_commands import PRESET, night
 
 import cli
 from itof import TransientReader, read_image, write_image
@@ -24,27 +24,7 @@ COMMANDS = {
     "night-train": cli.night_train,
     "night-eval": cli.night_eval,
 }
-# Seven scenes: with the paper's classes and fractions 4 train, 2 validation and 1 test.
-PRESET = """
-[dataset]
-count = 7
-seed = 3
-[camera]
-width = 24
-height = 18
-[transient]
-bin_count = 1400
-"""
 TRAINING = ["--width", 4, "--max-epochs", 2, "--batch-size", 4, "--learning-rate", 1e-3]
-
-
-def night(command, *arguments, **environment):
-    """Run a command as a process of its own."""
-    program = Path(sys.executable).with_name(command)
-    words = [str(word) for word in (program, *arguments)]
-    return subprocess.run(
-        words, capture_output=True, text=True, check=False, env={**os.environ, **environment}
-    )
 
 
 def refusal(command, *arguments):
@@ -263,7 +243,7 @@ def test_another_resolution_between_stages_is_refused(copy):
     message = refusal("night-train", copy / "data", "--out", copy / "new")
     assert "12x9" in message
     assert "24x18" in message
-    assert night("night-render", copy / "data", *half).returncode == 0
+    assert night("night-render", copy / "data", *half, "--replace").returncode == 0
     message = refusal("night-eval", copy / "run", copy / "data", "--out", copy / "report")
     assert "wrong resolution" in message
 

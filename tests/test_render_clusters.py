@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from night_commands import night
 
 import cli
 from render import ClusterError, batch_cluster
@@ -87,12 +88,9 @@ def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm):
     (slurm / "cluster.yaml").write_text(
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
     )
-    programs = Path(sys.executable).parent
-    made = [programs / "night-gen", "scenes", "data", "--preset", "small.toml"]
-    subprocess.run(made, check=True, capture_output=True)
+    assert night("night-gen", "scenes", "data", "--preset", "small.toml").returncode == 0
     settings = ["--lights", "64", "--product", "itof", "--device", "cpu"]
-    command = [programs / "night-render", "data", *settings, "--cluster", "cluster.yaml", "--workers", "2"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = night("night-render", "data", *settings, "--cluster", "cluster.yaml", "--workers", "2")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("3 scenes rendered")
     scripts = [file.read_text() for file in slurm.glob("script.*")]
@@ -100,7 +98,7 @@ def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm):
     assert all("#SBATCH -p cpu" in script for script in scripts)
 
     shutil.copytree("data", "local", ignore=shutil.ignore_patterns("renders"))
-    subprocess.run([programs / "night-render", "local", *settings], check=True, capture_output=True)
+    assert night("night-render", "local", *settings).returncode == 0
     for scene in ("000000", "000001", "000002"):
         for name in ("itof.exr", "mirrored.exr", "render.json"):
             files = [Path(data, "renders", scene, name) for data in ("data", "local")]

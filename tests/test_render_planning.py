@@ -119,9 +119,13 @@ def test_a_claim_is_one_process_s_and_dies_with_it(tmp_path):
 
 def test_runs_of_the_same_settings_go_together_and_others_wait(tmp_path):
     renders = tmp_path / "renders"
-    with joined_run(renders, "one"), joined_run(renders, "one"):
-        with pytest.raises(OtherRunError, match="with other settings"), joined_run(renders, "two"):
-            pytest.fail("two kinds of settings at once")
+    with (
+        joined_run(renders, "one"),
+        joined_run(renders, "one"),
+        pytest.raises(OtherRunError, match="with other settings"),
+        joined_run(renders, "two"),
+    ):
+        pytest.fail("two kinds of settings at once")
     with joined_run(renders, "two"):
         pass
 

@@ -9,45 +9,23 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import psutil
 import pytest
+from night_commands import PRESET, night, words
 
 from itof import read_image, write_image
 from render import MethodOptions, RenderSettings, RunOptions, render_dataset
 from scenegen import open_dataset, read_failure, read_record, sha256_of
 
-PRESET = """
-[dataset]
-count = 7
-seed = 3
-[camera]
-width = 24
-height = 18
-[transient]
-bin_count = 1400
-"""
 # About half a second a scene, so that a signal at a random moment meets a scene at work.
 SETTINGS = ["--lights", "2048", "--device", "cpu"]
-BIN = Path(sys.executable).parent
 
 
-def words(command, *arguments):
-    return [str(word) for word in (BIN / command, *arguments)]
-
-
-def night_render(data, *arguments, settings=SETTINGS, **environment):
-    return subprocess.run(
-        words("night-render", data, *settings, *arguments),
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **environment},
-    )
+def night_render(data, *arguments, settings=SETTINGS):
+    return night("night-render", data, *settings, *arguments)
 
 
 def start_render(data, *arguments):
