@@ -50,6 +50,9 @@ def refusing(command: Callable[..., None]) -> Callable[..., None]:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that `finally` runs
         try:
             command(*args, **kwargs)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            sys.exit(128 + signal.SIGINT)
         except (ValueError, RuntimeError, ArithmeticError, MemoryError, OSError) as error:
             # click's own exceptions are RuntimeErrors that it knows how to show.
             if isinstance(error, click.exceptions.Exit | click.ClickException | click.Abort):
@@ -204,7 +207,7 @@ def night_render(dataset: Path, only: tuple[str, ...], workers: int | None, **gi
     if sum(bool(task[name]) for name in ("status", "verify", "movie", "convert")) > 1:
         raise click.UsageError("--status, --verify, --movie and --convert are tasks of their own: give one")
     if task["status"]:
-        click.echo("\n".join(render.read_status(opened, settings).sentences()))
+        click.echo("\n".join(render.read_status(opened, settings, ids).sentences()))
     elif task["verify"]:
         _verify(opened, ids, workers or 1)
     elif task["movie"]:

@@ -81,6 +81,12 @@ def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, s
         scene = path.parent.name
         if not found[scene]:
             record = read_record(path.parent)  # None of captures that night-render did not make
+            if record is None and dataset.index.rendering is not None:
+                read_render(dataset, scene)  # may know better what is wrong
+                raise ShardError(
+                    f"scene {scene}: its renders are unfinished or were found bad (there is no render.json): "
+                    f"run night-render {dataset.root} again"
+                )
             recorded = {file: entry.sha256 for file, entry in record.files.items()} if record else {}
         digest = found[scene][name] = hashes.sha256(path)
         if recorded.get(path.name, digest) != digest:

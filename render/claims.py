@@ -2,8 +2,8 @@
 
 A claim is a `flock` on ``renders/.claims/<id>``, which also counts how often one run has begun the scene;
 the run lock is one on ``renders/.run``, shared by commands that render with the same settings. Renders are
-written whole and do not depend on who makes them, so a file system without locks costs work done twice, no
-more.
+written whole, and the same on any machine of one kind, so a file system without locks costs work done twice,
+no more.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 
 _CLAIMS, _RUN = ".claims", ".run"
 _NO_LOCKS = (ENOLCK, ENOTSUP)
+_MOST_RUNS, _MOST_BYTES = 16, 4096  # that a claim file remembers attempts of
 
 
 class OtherRunError(RuntimeError):
@@ -34,11 +35,12 @@ class Claim:
 
     def begin(self, run_id: str) -> int:
         """Count an attempt of this run at the scene; how many there are now."""
-        attempts = _attempts(os.pread(self.descriptor, 4096, 0), run_id) + 1
-        text = json.dumps({"run": run_id, "attempts": attempts}).encode()
+        counts = _counts(os.pread(self.descriptor, _MOST_BYTES, 0))
+        counts[run_id] = counts.get(run_id, 0) + 1
+        latest = dict(list(counts.items())[-_MOST_RUNS:])
         os.ftruncate(self.descriptor, 0)
-        os.pwrite(self.descriptor, text, 0)
-        return attempts
+        os.pwrite(self.descriptor, json.dumps(latest).encode(), 0)
+        return counts[run_id]
 
     def forget(self) -> None:
         """The scene is done: nothing needs to be counted any more."""
@@ -49,7 +51,7 @@ class Claim:
 def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
     """Claim a scene while the block runs; None when another process has it."""
     path = renders / _CLAIMS / scene_id
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)  # not its parents: a dataset that was deleted stays so
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -67,8 +69,8 @@ def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
 def attempts_of(renders: Path, scene_id: str, run_id: str) -> int:
     """How often a run has begun a scene without ending it well."""
     try:
-        return _attempts((renders / _CLAIMS / scene_id).read_bytes(), run_id)
-    except FileNotFoundError:
+        return _counts((renders / _CLAIMS / scene_id).read_bytes()).get(run_id, 0)
+    except OSError:
         return 0
 
 
@@ -132,9 +134,10 @@ def _is_same_file(descriptor: int, path: Path) -> bool:
         return False
 
 
-def _attempts(text: bytes, run_id: str) -> int:
+def _counts(text: bytes) -> dict[str, int]:
+    """Attempts by run."""
     try:
         content = json.loads(text)
-        return int(content["attempts"]) if content["run"] == run_id else 0
-    except (ValueError, KeyError, TypeError):
-        return 0
+        return {str(run): int(count) for run, count in content.items()}
+    except (ValueError, AttributeError, TypeError):
+        return {}

@@ -5,9 +5,11 @@ from __future__ import annotations
 import inspect
 import logging
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +71,7 @@ def connected(
 
     _quieten()
     with dask.config.set(_CONFIG), ExitStack() as stack:
+        _leave_ctrl_c_to_us(stack)
         if scheduler:
             try:
                 client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
@@ -85,7 +88,9 @@ def connected(
             else:
                 cluster = stack.enter_context(_local_cluster(workers, device))
             client = Client(cluster, set_as_default=False)
-        yield stack.enter_context(client)
+        stack.enter_context(client)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        yield client
 
 
 def batch_cluster(file: Path) -> JobQueueCluster:
@@ -165,7 +170,14 @@ def _local_cluster(workers: int | None, device: Device) -> Any:
             dashboard_address=_ANY_LOCAL_PORT,
             silence_logs=logging.CRITICAL,
         )
-    options = {"nthreads": 1, "host": "127.0.0.1", "silence_logs": logging.CRITICAL, "dashboard": False}
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // count
+    options = {
+        "nthreads": 1,
+        "memory_limit": memory,
+        "host": "127.0.0.1",
+        "silence_logs": logging.CRITICAL,
+        "dashboard": False,
+    }
     specs = {
         i: {"cls": Nanny, "options": {**options, "env": {"CUDA_VISIBLE_DEVICES": gpus[i % len(gpus)]}}}
         for i in range(count)
@@ -174,7 +186,17 @@ def _local_cluster(workers: int | None, device: Device) -> Any:
     return SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
 
 
+def _leave_ctrl_c_to_us(stack: ExitStack) -> None:
+    """Start threads and processes with SIGINT blocked, as they inherit it: Ctrl-C is for this thread."""
+    resource_tracker.ensure_running()  # it would unblock SIGINT in the thread that starts it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+
+
 def _quieten() -> None:
     """Dask's log lines are about its processes; ours say what that means for the scenes."""
-    for name in ("distributed", "dask_jobqueue", "tornado"):
+    import distributed
+
+    named = [name for name in logging.root.manager.loggerDict if name.startswith(f"{distributed.__name__}.")]
+    for name in ("distributed", "dask_jobqueue", "tornado", "asyncio", *named):
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from itof import TransientReader, phasor_channels, read_image, write_image
+from render.claims import joined_run
 from render.settings import IMAGES, SCENE_TRANSIENT, TRANSIENTS
 from scenegen import (
     Dataset,
@@ -149,6 +150,14 @@ def shrink_dataset(dataset: Dataset, scenes: Iterable[str]) -> int:
     Bytes freed.
     """
     wanted = list(scenes)
+    bare = [scene_id for scene_id in wanted if read_record(dataset.render_folder(scene_id)) is None]
+    if bare:
+        raise ExportError(f"{len(bare)} scenes (first {bare[0]}) are not rendered: nothing was deleted")
+    with joined_run(dataset.root / "renders", "conversion to itof"):
+        return _shrink(dataset, wanted)
+
+
+def _shrink(dataset: Dataset, wanted: list[str]) -> int:
     index = open_dataset(dataset.root).index
     if index.rendering is not None and set(wanted) == set(dataset.ids()):
         write_index(dataset.root, replace(index, rendering=replace(index.rendering, product="itof")))

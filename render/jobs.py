@@ -26,7 +26,7 @@ from render.claims import claimed
 from render.inventory import Inventory
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from scenegen import DatasetError, open_dataset
+from scenegen import DatasetError, open_dataset, read_failure
 
 MAX_ATTEMPTS = 2
 Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]
@@ -46,6 +46,7 @@ class Job:
     settings: RenderSettings
     scene_id: str
     run_id: str
+    given_up_counts: bool = False  # a failure that another command has recorded meanwhile is an answer
     growth_bytes: int = GROWTH_BYTES
     night_version: str = field(default_factory=lambda: version("night-nlos"))
 
@@ -63,6 +64,7 @@ class Outcome:
     seconds : rendering time.
     attributes : provenance of what was rendered.
     worker : host and process.
+    final : another command has recorded this failure: nothing is to be tried again.
     grown : Dask address of a worker that has grown too large, to be replaced by a fresh one; else empty.
     """
 
@@ -73,6 +75,7 @@ class Outcome:
     seconds: float = 0.0
     attributes: dict[str, str] = field(default_factory=dict)
     worker: str = field(default_factory=lambda: f"{socket.gethostname()}-{os.getpid()}")
+    final: bool = False
     grown: str = ""
 
 
@@ -87,9 +90,11 @@ def render_scene(job: Job) -> Outcome:
         )
     with _one_at_a_time:
         try:
-            outcome = _render(job)
-        except (BackendError, DatasetError) as error:
+            renderer, inventory = _workshop(job)
+        except (BackendError, DatasetError, OSError) as error:
             return Outcome(job.scene_id, "stop", _on_host(error))
+        try:
+            outcome = _render(job, renderer, inventory)
         except OSError as error:
             hopeless = error.errno in _HOPELESS or _free_bytes(Path(job.root)) < _LEAST_FREE_BYTES
             reason = f"{error.filename or job.root}: {error.strerror or error}"
@@ -103,14 +108,17 @@ def render_scene(job: Job) -> Outcome:
         return replace(outcome, grown=_grown(job.growth_bytes))
 
 
-def _render(job: Job) -> Outcome:
-    renderer, inventory = _workshop(job)
+def _render(job: Job, renderer: Renderer, inventory: Inventory) -> Outcome:
     with claimed(renderer.dataset.root / "renders", job.scene_id) as claim:
         if claim is None:
             return Outcome(job.scene_id, "elsewhere")
-        if inventory.state(job.scene_id) == "done":
+        state = inventory.state(job.scene_id)
+        if state == "done":
             claim.forget()
             return Outcome(job.scene_id, "present")
+        failure = read_failure(renderer.dataset.render_folder(job.scene_id))
+        if job.given_up_counts and state == "failed" and failure is not None:
+            return Outcome(job.scene_id, "failed", failure.reason, final=True)
         if claim.begin(job.run_id) > MAX_ATTEMPTS:  # a scheduler has sent it again after its worker died
             return Outcome(job.scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times rendering it")
         started = time.perf_counter()
@@ -126,6 +134,8 @@ def _render(job: Job) -> Outcome:
 def _workshop(job: Job) -> tuple[Renderer, Inventory]:
     """Renderer of this worker process, made once: the kernels it compiles serve all scenes."""
     key = (job.root, job.settings, job.run_id)
+    if not (Path(job.root) / "dataset.json").is_file():
+        raise DatasetError(f"{job.root} is no dataset that this worker sees: all need the same file system")
     if _state.get("key") != key:
         _use_threads()
         dataset = open_dataset(Path(job.root))

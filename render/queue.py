@@ -11,10 +11,12 @@ import queue as threads_queue
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from render.claims import attempts_of
+from render.inventory import known_recipe
 from render.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
 from render.settings import RenderSettings
 from scenegen import Dataset, FailureRecord, write_failure
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _WAIT_S = 1.0  # between looks at whether another command has finished its scenes
-_PATIENCE_S = 600.0  # without any worker before the command gives up
+PATIENCE_S = 600.0  # without any worker before the command gives up
 _RESTART_S = 60  # for a fresh worker process to come up
 _MOST_UNBEGUN_DEATHS = 5  # workers that die before they begin a scene
 
@@ -53,6 +55,7 @@ class RenderQueue:
     run_id : name of this run; attempts at a scene are counted for each run.
     on_outcome : called with every answer of a worker, and `final` when the scene is through.
     growth_bytes : what a worker may grow by before it makes way for a fresh one.
+    patience_s : how long to wait for any worker at all; None for ever, since batch systems let jobs queue.
     work : what a worker does with a job.
     """
 
@@ -62,6 +65,7 @@ class RenderQueue:
     run_id: str
     on_outcome: Callable[[Outcome, bool], None]
     growth_bytes: int = GROWTH_BYTES
+    patience_s: float | None = PATIENCE_S
     work: Callable[[Job], Outcome] = render_scene
     tally: Tally = field(default_factory=Tally)
 
@@ -75,16 +79,17 @@ class RenderQueue:
         waiting, elsewhere = deque(scenes), deque[str]()
         answers: threads_queue.SimpleQueue[Future] = threads_queue.SimpleQueue()
         active: dict[Future, str] = {}
-        deaths: Counter[str] = Counter()
+        failed, returned = _Failures(), set[str]()
         idle_since = time.monotonic()
         while waiting or active or elsewhere:
             while waiting and len(active) < self._slots():
                 scene_id = waiting.popleft()
-                future = self._submit(scene_id)
+                future = self._submit(scene_id, scene_id in returned)
                 active[future] = scene_id
                 future.add_done_callback(answers.put)
             if not waiting and not active:
                 time.sleep(_WAIT_S)
+                returned.update(elsewhere)
                 waiting, elsewhere = elsewhere, deque[str]()
                 continue
             try:
@@ -94,23 +99,23 @@ class RenderQueue:
                 continue
             scene_id = active.pop(future)
             idle_since = time.monotonic()
-            outcome = self._answer(future, scene_id, deaths)
+            outcome = self._answer(future, scene_id, failed)
             if outcome.grown:
                 self._renew(outcome.grown)
             if outcome.kind == "stop":
                 raise QueueError(outcome.reason)
             if outcome.kind == "elsewhere":
                 elsewhere.append(scene_id)
-            elif outcome.kind == "failed" and not self._is_final(scene_id, deaths):
+            elif outcome.kind == "failed" and not self._is_final(outcome, failed):
                 self.on_outcome(outcome, False)
                 waiting.append(scene_id)
             else:
-                self._settle(outcome)
+                self._settle(outcome, failed)
         return self.tally
 
-    def _submit(self, scene_id: str) -> Future:
+    def _submit(self, scene_id: str, returned: bool) -> Future:
         root = str(self.dataset.root.resolve())
-        job = Job(root, self.settings, scene_id, self.run_id, self.growth_bytes)
+        job = Job(root, self.settings, scene_id, self.run_id, returned, self.growth_bytes)
         return self.client.submit(self.work, job, pure=False, retries=0)
 
     def _slots(self) -> int:
@@ -123,28 +128,32 @@ class RenderQueue:
             raise QueueError("the connection to the Dask scheduler was lost: start again to go on")
         if self.client.nthreads():
             return time.monotonic()
-        if time.monotonic() - since > _PATIENCE_S:
+        if self.patience_s is not None and time.monotonic() - since > self.patience_s:
             raise QueueError(
-                f"no worker has come up within {_PATIENCE_S / 60:.0f} minutes: look at the workers' logs"
+                f"no worker has come up within {self.patience_s / 60:.0f} minutes: look at the workers' logs"
             )
         return since
 
-    def _answer(self, future: Future, scene_id: str, deaths: Counter[str]) -> Outcome:
+    def _answer(self, future: Future, scene_id: str, failed: _Failures) -> Outcome:
         from distributed import KilledWorker
 
         try:
             outcome: Outcome = future.result()
         except KilledWorker as error:
-            deaths[scene_id] += 1
+            failed.deaths[scene_id] += 1
             where = getattr(error.last_worker, "address", "")
             reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
             return Outcome(scene_id, "failed", reason, f"{error}\n", worker=where)
+        except CancelledError:
+            reason = "the connection to the Dask scheduler was lost: start again to go on"
+            return Outcome(scene_id, "stop", reason)
         except Exception as error:
             what = " ".join(str(error).split()) or type(error).__name__
             reason = f"the workers cannot take jobs ({what}): is the same NIGHT installed where they run?"
             return Outcome(scene_id, "stop", reason)
         finally:
             future.release()
+        failed.answers[scene_id] += outcome.kind == "failed"
         return outcome
 
     def _renew(self, address: str) -> None:
@@ -154,19 +163,34 @@ class RenderQueue:
         except (OSError, ValueError, TimeoutError) as error:  # it may have gone by itself
             log.info("worker %s was not renewed: %s", address, " ".join(str(error).split()))
 
-    def _is_final(self, scene_id: str, deaths: Counter[str]) -> bool:
+    def _is_final(self, outcome: Outcome, failed: _Failures) -> bool:
         """Whether a scene has had its attempts; a worker that died before it began does not count."""
+        scene_id = outcome.scene_id
         begun = attempts_of(self.dataset.root / "renders", scene_id, self.run_id)
-        return begun >= MAX_ATTEMPTS or deaths[scene_id] >= _MOST_UNBEGUN_DEATHS
+        return (
+            outcome.final
+            or max(begun, failed.answers[scene_id]) >= MAX_ATTEMPTS
+            or failed.deaths[scene_id] >= _MOST_UNBEGUN_DEATHS
+        )
 
-    def _settle(self, outcome: Outcome) -> None:
+    def _settle(self, outcome: Outcome, failed: _Failures) -> None:
         self.tally.counts[outcome.kind] += 1
         if outcome.kind == "failed":
-            self.tally.failures[outcome.scene_id] = outcome.reason
-            failure = FailureRecord(
-                recipe=self.settings.recipe(self.dataset, outcome.scene_id),
-                attempts=MAX_ATTEMPTS,
-                reason=outcome.reason,
-            )
-            write_failure(self.dataset.render_folder(outcome.scene_id), failure, outcome.log)
+            scene_id = outcome.scene_id
+            self.tally.failures[scene_id] = outcome.reason
+            if not outcome.final:
+                failure = FailureRecord(
+                    recipe=known_recipe(self.dataset, self.settings, scene_id),
+                    attempts=failed.answers[scene_id] + failed.deaths[scene_id],
+                    reason=outcome.reason,
+                )
+                write_failure(self.dataset.render_folder(scene_id), failure, outcome.log)
         self.on_outcome(outcome, True)
+
+
+@dataclass
+class _Failures:
+    """How often each scene failed: by an answer, or by the death of its worker."""
+
+    answers: Counter[str] = field(default_factory=Counter)
+    deaths: Counter[str] = field(default_factory=Counter)

@@ -23,8 +23,8 @@ from render.inventory import Inventory
 from render.jobs import GROWTH_BYTES, Outcome
 from render.method import MethodOptions
 from render.plan import make_plan
-from render.queue import RenderQueue
-from render.settings import RenderError, RenderSettings, settings_of
+from render.queue import QueueError, RenderQueue
+from render.settings import RenderError, RenderSettings, read_recipe, settings_of
 from scenegen import Dataset, RenderingProvenance, open_dataset, read_record, write_index
 
 LOG_FILE = "night-render.log"
@@ -124,7 +124,11 @@ def render_dataset(
             if refusal and not options.ignore_space:
                 raise RenderError(refusal)
             _note_settings(dataset, settings, finished=False)
-            tally = _work(dataset, settings, todo, options)
+            try:
+                tally = _work(dataset, settings, todo, options)
+            except QueueError:
+                _note_settings(dataset, settings, finished=True)
+                raise
             counts = tally.counts
             result = RunResult(counts["rendered"], len(done) + counts["present"], tally.failures, skipped)
         _note_settings(dataset, settings, finished=True)
@@ -158,7 +162,7 @@ def _todo(dataset: Dataset, states: dict[str, Any], options: RunOptions) -> list
 def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], options: RunOptions) -> Any:
     run_id = secrets.token_hex(8)
     connection = connected(
-        workers=options.workers,
+        workers=min(options.workers, len(todo)) if options.workers else None,
         scheduler=options.scheduler,
         cluster_file=options.cluster_file,
         device=settings.device,
@@ -167,7 +171,7 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
         connection as client,
         tqdm(total=len(todo), unit="scene", desc="render", disable=not options.progress or None) as bar,
     ):
-        failed = 0
+        inventory, failed = Inventory(dataset, settings), 0
 
         def note(outcome: Outcome, final: bool) -> None:
             nonlocal failed
@@ -176,9 +180,18 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
                 failed += outcome.kind == "failed"
                 bar.set_postfix(failed=failed, refresh=False)
                 bar.update()
+            if outcome.kind == "rendered":
+                record = read_record(dataset.render_folder(outcome.scene_id))
+                if record is not None:
+                    inventory.remember(outcome.scene_id, record)
 
         queue = RenderQueue(client, dataset, settings, run_id, note, options.growth_bytes)
-        return queue.run(todo)
+        if options.cluster_file:
+            queue.patience_s = None
+        try:
+            return queue.run(todo)
+        finally:
+            inventory.save()
 
 
 def _log_outcome(outcome: Outcome, final: bool) -> None:
@@ -202,8 +215,7 @@ def _note_settings(dataset: Dataset, settings: RenderSettings, *, finished: bool
     Settings of before stay as long as any scene is rendered with them: a few scenes rendered otherwise do not
     speak for the dataset.
     """
-    index = open_dataset(dataset.root).index  # as it is now: another command may have noted something since
-    before = index.rendering
+    before = open_dataset(dataset.root).index.rendering
     if before is not None:
         earlier = settings_of(before, dataset)
         same = earlier.common_recipe(dataset) == settings.common_recipe(dataset)
@@ -227,6 +239,7 @@ def _note_settings(dataset: Dataset, settings: RenderSettings, *, finished: bool
         hidden_error_max=max(known, default=None),
     )
     if note != before:
+        index = open_dataset(dataset.root).index  # as it is now: night-gen may have added scenes meanwhile
         write_index(dataset.root, replace(index, rendering=note))
 
 
@@ -236,17 +249,22 @@ def _rendered_errors(dataset: Dataset, settings: RenderSettings) -> list[float |
     errors = []
     for scene_id in dataset.ids():
         record = read_record(dataset.render_folder(scene_id))
-        if record is None or not common.items() <= json.loads(record.recipe).items():
+        if record is None:
             continue
-        error = record.attributes.get("hidden_error")
-        errors.append(float(error) if error is not None else None)
+        recipe = read_recipe(record.recipe)
+        if all(recipe.get(key) == value for key, value in common.items()):
+            error = record.attributes.get("hidden_error")
+            errors.append(float(error) if error is not None else None)
     return errors
 
 
 @contextmanager
 def _log_file(file: Path) -> Iterator[None]:
     """Append what the run logs to a file; a disk that takes no more of it stops nothing."""
-    handler = logging.FileHandler(file, encoding="utf-8", delay=True)
+    try:
+        handler: logging.Handler = logging.FileHandler(file, encoding="utf-8")
+    except OSError:
+        handler = logging.NullHandler()
     handler.setFormatter(logging.Formatter(f"%(asctime)s {os.getpid()} %(message)s"))
     handler.handleError = lambda record: None  # type: ignore[method-assign]
     logger = logging.getLogger("render")

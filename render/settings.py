@@ -100,6 +100,8 @@ class RenderSettings:
     def recipe(self, dataset: Dataset, scene_id: str) -> str:
         """All that a scene's pixels depend on, as JSON; a render of the same recipe need not be made again.
 
+        But for rounding: device and program versions are provenance, not recipe.
+
         Raises
         ------
         RenderError : there is no such scene folder.
@@ -130,22 +132,38 @@ def scene_sha256(dataset: Dataset, scene_id: str) -> str:
     return digest.hexdigest()
 
 
+def read_recipe(recipe: str) -> dict[str, Any]:
+    """Contents of a recipe; empty when it is none."""
+    try:
+        content = json.loads(recipe)
+    except ValueError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def settings_of(rendering: RenderingProvenance, dataset: Dataset) -> RenderSettings:
-    """The settings that a dataset was rendered with, from its ``dataset.json``."""
+    """The settings that a dataset was rendered with, from its ``dataset.json``.
+
+    Raises
+    ------
+    RenderError : a method, product or option that this version does not know.
+    """
     camera = dataset.preset.camera
     size = (rendering.width, rendering.height)
-    product = next((p for p in PRODUCTS if p == rendering.product), None)
-    if product is None:
-        raise RenderError(f"{dataset.root} was rendered to an unknown product {rendering.product}")
-    return RenderSettings(
-        method=rendering.method,
-        product=product,
-        options=MethodOptions(**rendering.options),  # type: ignore[arg-type]
-        max_bounces=(
-            None if rendering.max_bounces == dataset.preset.transient.max_bounces else rendering.max_bounces
-        ),
-        resolution=None if size == (camera.width, camera.height) else size,
-    )
+    bounces = rendering.max_bounces
+    try:
+        return RenderSettings(
+            method=rendering.method,
+            product=rendering.product,  # type: ignore[arg-type]
+            options=MethodOptions(**rendering.options),  # type: ignore[arg-type]
+            max_bounces=None if bounces == dataset.preset.transient.max_bounces else bounces,
+            resolution=None if size == (camera.width, camera.height) else size,
+        )
+    except (TypeError, ValueError) as error:
+        raise RenderError(
+            f"the key rendering of {dataset.root / 'dataset.json'} cannot be used ({error}): delete it and "
+            "give the settings anew"
+        ) from None
 
 
 def _check_memory(layout: TransientLayout) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median_low
@@ -71,9 +73,9 @@ class Status:
         return lines
 
 
-def read_status(dataset: Dataset, settings: RenderSettings) -> Status:
-    """Status of all scenes of a dataset under `settings`."""
-    states = Inventory(dataset, settings).states(dataset.ids())
+def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str]) -> Status:
+    """Status of scenes of a dataset under `settings`."""
+    states = Inventory(dataset, settings).states(scenes)
     failures, used, times = {}, 0, []
     for scene_id, state in states.items():
         folder = dataset.render_folder(scene_id)
@@ -81,8 +83,10 @@ def read_status(dataset: Dataset, settings: RenderSettings) -> Status:
         if failure is not None:
             failures[scene_id] = failure.reason
         record = read_record(folder)
-        if record is not None:
-            used += sum(file.bytes for file in record.files.values())
+        if record is None:
+            continue
+        used += sum(file.bytes for file in record.files.values())
+        with suppress(FileNotFoundError):  # it may be about to be rendered again
             times.append((folder / RECORD_FILE).stat().st_mtime)
     now_running = running(dataset.root / "renders")
     return Status(

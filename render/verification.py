@@ -5,7 +5,6 @@ Nothing here uses Mitsuba; `render.geometry` traces the ground truth's sample ra
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -24,8 +23,9 @@ from itof import (
     pixel_types,
     read_image,
 )
+from render.claims import claimed
 from render.geometry import traced_depth_m
-from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT, TRANSIENTS, scene_sha256
+from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT, TRANSIENTS, read_recipe, scene_sha256
 from scenegen import (
     RECORD_FILE,
     Dataset,
@@ -61,16 +61,30 @@ def verify(
     """Check every file of rendered scenes.
 
     Scenes without a record are not rendered and are left out. The record of a bad scene is removed, so that
-    the next run renders it again.
+    the next run renders it again; not where somebody is rendering it now, or where nothing may be written.
     """
     rendered = [s for s in scenes if (dataset.render_folder(s) / RECORD_FILE).exists()]
     bad = {}
     for scene_id, problems in _checked(dataset, rendered, workers):
         on_scene()
-        if problems:
-            bad[scene_id] = problems
-            (dataset.render_folder(scene_id) / RECORD_FILE).unlink(missing_ok=True)
+        if problems and (still := _condemned(dataset, scene_id, problems)):
+            bad[scene_id] = still
     return Verification(len(rendered), bad)
+
+
+def _condemned(dataset: Dataset, scene_id: str, problems: list[str]) -> list[str]:
+    """Remove the record of a bad scene, if it is bad still; what is wrong with it."""
+    try:
+        with claimed(dataset.root / "renders", scene_id) as claim:
+            if claim is None:
+                return []  # it is being rendered again
+            problems = verify_scene(dataset, scene_id)
+            if problems:
+                (dataset.render_folder(scene_id) / RECORD_FILE).unlink(missing_ok=True)
+            claim.forget()
+    except OSError as error:
+        return [*problems, f"its record stays ({error.strerror})"]
+    return problems
 
 
 def verify_scene(dataset: Dataset, scene_id: str) -> list[str]:
@@ -82,10 +96,11 @@ def verify_scene(dataset: Dataset, scene_id: str) -> list[str]:
     problems = list(_changed_files(folder, record))
     if problems:
         return problems  # contents of files that are not what was written tell nothing more
+    recipe = read_recipe(record.recipe)
     try:
-        if json.loads(record.recipe).get("scene_sha256") != scene_sha256(dataset, scene_id):
+        if recipe.get("scene_sha256") != scene_sha256(dataset, scene_id):
             return ["the scene was changed after it was rendered"]
-        width, height = json.loads(record.recipe)["size"]
+        width, height = recipe["size"]
         problems += _wrong_storage(folder, record)
         image, truth = read_image(folder / MEASUREMENT), read_image(folder / GROUND_TRUTH)
         problems += _wrong_pixels(MEASUREMENT, image, (height, width))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass as plain_dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
@@ -103,13 +104,16 @@ class Dataset:
 
     def entry(self, scene: str) -> SceneEntry:
         """Class and split of a scene; `DatasetError` when there is no such scene."""
-        for entry in self.index.scenes:
-            if entry.id == scene:
-                return entry
+        if scene in self._entries:
+            return self._entries[scene]
         raise DatasetError(
             f"{self.root} has no scene {scene}: its ids run from {self.index.scenes[0].id} "
             f"to {self.index.scenes[-1].id}"
         )
+
+    @cached_property
+    def _entries(self) -> dict[str, SceneEntry]:
+        return {entry.id: entry for entry in self.index.scenes}
 
     def scene_folder(self, scene: str) -> Path:
         """Folder of a scene's description and meshes."""

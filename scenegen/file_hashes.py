@@ -48,6 +48,16 @@ class FileHashes:
             self._changed = True
         return digest
 
+    def learn(self, file: Path, sha256: str) -> None:
+        """Remember the hash of a file that was written and hashed just now."""
+        try:
+            state = file.stat()
+        except OSError:
+            return
+        name = file.relative_to(self.root).as_posix()
+        self._known[name] = [state.st_size, state.st_mtime_ns, state.st_ino, sha256]
+        self._changed = True
+
     def save(self) -> None:
         """Write what was learnt; a folder that may not be written to is no error."""
         if not self._changed:

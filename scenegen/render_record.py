@@ -34,7 +34,8 @@ class RenderRecord:
 
     Attributes
     ----------
-    recipe : all that the pixels depend on, as JSON text; equal recipes, equal pixels.
+    recipe : all that the pixels depend on, as JSON text: equal recipes, equal pixels but for the rounding of
+        another device or version.
     attributes : provenance of the measurement, text by name, as in the header of ``itof.exr``.
     files : the scene's files by name.
     """

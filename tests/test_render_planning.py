@@ -135,9 +135,11 @@ def test_the_pace_is_that_of_the_latest_scenes_without_the_pause_before(rendered
     now = time.time()
     for scene_id, age_s in zip(rendered.ids(), (9000, 20, 10), strict=False):
         os.utime(rendered.render_folder(scene_id) / RECORD_FILE, (now - age_s, now - age_s))
-    assert read_status(rendered, settings).scenes_per_hour is None  # nothing is being rendered
+    assert (
+        read_status(rendered, settings, rendered.ids()).scenes_per_hour is None
+    )  # nothing is being rendered
     with claimed(rendered.root / "renders", "000003"):
-        status = read_status(rendered, settings)
+        status = read_status(rendered, settings, rendered.ids())
     assert status.running == ["000003"]
     # Two scenes in the 20 s since the first of them was done, give or take the time this takes.
     assert status.scenes_per_hour == pytest.approx(3600 / 20, rel=0.2)

@@ -3,6 +3,7 @@
 Every test runs the real commands, with real worker processes, and compares with one undisturbed run.
 """
 
+import json
 import os
 import random
 import re
@@ -28,9 +29,10 @@ def night_render(data, *arguments, settings=SETTINGS):
     return night("night-render", data, *settings, *arguments)
 
 
-def start_render(data, *arguments):
+def start_render(data, *arguments, **options):
     return subprocess.Popen(
         words("night-render", data, *SETTINGS, *arguments),
+        **options,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -133,7 +135,7 @@ def test_results_do_not_depend_on_the_number_of_workers(data, undisturbed, worke
 
 @contextmanager
 def dask_processes(folder, *workers):
-    """A Dask scheduler and workers as processes of their own; yields the scheduler's address."""
+    """A Dask scheduler and workers as processes of their own; yields its address and its process."""
     environment = {**os.environ, "PYTHONWARNINGS": "ignore"}
     running = []
     try:
@@ -153,7 +155,7 @@ def dask_processes(folder, *workers):
         for options in workers:
             worker = words("dask", "worker", address, "--no-dashboard", "--local-directory", folder, *options)
             running.append(subprocess.Popen(worker, stderr=subprocess.DEVNULL, env=environment))
-        yield address
+        yield address, scheduler
     finally:
         for process in reversed(running):
             process.terminate()
@@ -163,7 +165,7 @@ def dask_processes(folder, *workers):
 
 
 def test_workers_of_an_existing_scheduler_give_the_same(data, undisturbed, tmp_path):
-    with dask_processes(tmp_path, ["--nthreads", "1"], ["--nthreads", "2"]) as address:
+    with dask_processes(tmp_path, ["--nthreads", "1"], ["--nthreads", "2"]) as (address, _):
         done = night_render(data, "--scheduler", address)
     assert done.returncode == 0, done.stderr
     assert results(data) == undisturbed[1]
@@ -250,6 +252,97 @@ def test_a_scene_that_cannot_be_rendered_leaves_the_others_alone(data, undisturb
     assert night_render(data, settings=["--device", "cpu"]).stdout.startswith(
         "1 scenes rendered, 6 were there"
     )
+
+
+def test_scenes_whose_description_is_gone_fail_alone(data, undisturbed):
+    kept = {name: data.parent / name for name in ("000002", "000005")}
+    shutil.move(data / "scenes" / "000002", kept["000002"])
+    shutil.copytree(data / "scenes" / "000005", kept["000005"])
+    (data / "scenes" / "000005" / "scene.json").unlink()
+    done = night_render(data)
+    assert done.returncode == 1
+    assert done.stdout.startswith("5 scenes rendered, 0 were there")
+    assert re.search(r"failed: scene 000002: .*night-gen scenes again", done.stderr)
+    assert re.search(r"failed: scene 000005: .*night-gen scenes again", done.stderr)
+    assert "5 done, 0 running, 2 failed" in night_render(data, "--status").stdout
+    shutil.move(kept["000002"], data / "scenes" / "000002")
+    (data / "scenes" / "000005" / "scene.json").write_bytes((kept["000005"] / "scene.json").read_bytes())
+    assert night_render(data).stdout.startswith("2 scenes rendered, 5 were there")
+    assert results(data) == undisturbed[1]
+
+
+def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(data):
+    process = start_render(data)
+    wait_for((data / "renders" / "000000" / "render.json").exists)
+    data.rename(data.with_name("gone"))
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "Traceback" not in errors
+    assert not (data / "renders").exists()
+
+
+def test_ctrl_c_ends_the_command_and_its_workers_without_a_word_too_many(data, undisturbed):
+    process = start_render(data, "--workers", "2", start_new_session=True)
+    wait_for((data / "renders" / ".claims" / "000001").exists)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert errors.endswith("interrupted\n")
+    assert night_render(data).returncode == 0
+    assert results(data) == undisturbed[1]
+
+
+def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(data, undisturbed, tmp_path):
+    with dask_processes(tmp_path, ["--nthreads", "1"]) as (address, scheduler):
+        process = start_render(data, "--scheduler", address)
+        wait_for((data / "renders" / ".claims" / "000001").exists)
+        scheduler.kill()
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "connection to the Dask scheduler was lost" in errors
+    assert "Traceback" not in errors
+    assert night_render(data).returncode == 0
+    assert results(data) == undisturbed[1]
+
+
+def test_two_commands_agree_that_a_scene_cannot_be_rendered(data):
+    mesh = data / "scenes" / "000001" / "hidden_object_0.ply"
+    mesh.write_bytes(mesh.read_bytes()[:200])
+    both = [start_render(data), start_render(data)]
+    outputs = [process.communicate(timeout=120) for process in both]
+    assert [process.returncode for process in both] == [1, 1], outputs
+    assert all("failed: scene 000001" in errors for _, errors in outputs)
+    assert len(re.findall("000001 failed on", run_log(data))) <= 4  # two attempts each
+
+
+def test_training_refuses_renders_that_verification_found_bad(rendered):
+    folders = [rendered / "renders" / name for name in ("000000", "000001")]
+    shutil.copy(folders[1] / "itof.exr", folders[0] / "itof.exr")
+    run = rendered.parent / "run"
+    for _ in range(2):  # before and after its record is gone
+        done = night("night-train", rendered, "--out", run, "--max-epochs", "1", "--width", "2")
+        assert done.returncode == 2
+        assert "scene 000000" in done.stderr
+        assert "run night-render" in done.stderr
+        night_render(rendered, "--verify", settings=[])
+    assert night_render(rendered, settings=[]).stdout.startswith("1 scenes rendered")
+
+
+@pytest.mark.parametrize(
+    ("options", "words_said"),
+    [({"foo": 1}, "unexpected keyword argument 'foo'"), ({"error": None}, "not supported between")],
+)
+def test_a_dataset_rendered_in_an_unknown_way_is_refused(rendered, options, words_said):
+    index = json.loads((rendered / "dataset.json").read_text())
+    index["rendering"]["options"] = options
+    (rendered / "dataset.json").write_text(json.dumps(index))
+    for arguments in ([], ["--status"]):
+        done = night_render(rendered, *arguments, settings=[])
+        assert done.returncode == 2
+        assert "the key rendering of" in done.stderr
+        assert words_said in done.stderr
+        assert done.stderr.count("\n") == 1
 
 
 def test_truncated_flipped_foreign_and_missing_files_are_found_and_repaired(rendered, undisturbed):
