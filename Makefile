@@ -25,7 +25,7 @@ test: lint
 # Scenes, renders and training go on where an interrupted demo stopped; `make clean` starts over.
 demo: setup
 	$(BIN)/night-gen scenes $(DEMO)/dataset --preset demo
-	$(BIN)/night-render $(DEMO)/dataset
+	$(BIN)/night-render $(DEMO)/dataset --workers 2
 	$(BIN)/night-train $(DEMO)/dataset --out $(DEMO)/run --preset demo $(if $(wildcard $(DEMO)/run/run.json),--resume)
 	$(BIN)/night-eval $(DEMO)/run $(DEMO)/dataset --split test --out $(DEMO)/report
 

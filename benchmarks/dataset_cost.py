@@ -8,6 +8,8 @@ cost a scene / workers, or the scheduler's share if that is more. A worker is on
 
 import argparse
 import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +20,7 @@ from render import MethodOptions, RenderSettings
 from render.clusters import connected
 from render.jobs import Job, Outcome
 from render.queue import RenderQueue
-from scenegen import Dataset, preset_from_dict
-from scenegen.blender import BlenderMaker
-from scenegen.generation import generate
+from scenegen import Dataset, open_dataset
 
 WARM_UP = 7  # one of each class: all kernels are compiled then
 NO_OPS = 10_000
@@ -39,10 +39,10 @@ def main() -> None:
     width, height = map(int, given.size.split("x"))
     with TemporaryDirectory() as folder:
         root = Path(folder)
-        costs = {"scenes (Blender)": scene_cost(root / "scenes")}
+        costs = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", (320, 240), 1344) / 1344}
         settings = RenderSettings(options=MethodOptions(error=given.error))
-        preset = {"dataset": {"count": given.scenes}, "camera": {"width": width, "height": height}}
-        dataset = generate(root / "data", preset_from_dict(preset, "cost"), BlenderMaker(), lambda: None)
+        made_scenes(root / "data", (width, height), given.scenes)
+        dataset = open_dataset(root / "data")
         with connected(workers=1, scheduler=None, cluster_file=None, device="auto") as client:
             costs["phasors (itof)"] = render_cost(client, dataset, settings, given.scenes)
             both = replace(settings, product="both")
@@ -52,12 +52,15 @@ def main() -> None:
     report(costs, overhead, given)
 
 
-def scene_cost(root: Path) -> float:
-    """Seconds a scene that Blender takes, in one process."""
-    maker, count = BlenderMaker(), 200
+def made_scenes(root: Path, size: tuple[int, int], count: int) -> float:
+    """Seconds that night-gen takes for a dataset. A process of its own: workers cannot follow Blender."""
+    preset = root.with_suffix(".toml")
+    preset.write_text(f"[camera]\nwidth = {size[0]}\nheight = {size[1]}\n")
+    night_gen = Path(sys.executable).with_name("night-gen")
+    command = [night_gen, "scenes", root, "--preset", preset, "--count", str(count)]
     started = time.perf_counter()
-    generate(root, preset_from_dict({"dataset": {"count": count}}, "cost"), maker, lambda: None)
-    return (time.perf_counter() - started) / count
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - started
 
 
 def render_cost(client: object, dataset: Dataset, settings: RenderSettings, count: int) -> float:
