@@ -12,6 +12,7 @@ import logging
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -39,6 +40,7 @@ from scenegen import (
     SceneEntry,
     Split,
     camera_axes,
+    read_failure,
     wall_normal,
     whole_file,
     write_text,
@@ -137,7 +139,7 @@ def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
     """Shards of a dataset; what is missing of them or does not fit its renders any more is built first.
 
     An interrupted build goes on with the piece it was at. Files that did not change since the last time
-    are not read again.
+    are not read again. Scenes that night-render has given up (they have a ``failure.json``) are left out.
 
     Raises
     ------
@@ -146,9 +148,22 @@ def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
     """
     hashes = FileHashes(dataset.root)
     try:
-        return _renew(dataset, hashes, progress)
+        return _renew(_without_failures(dataset), hashes, progress)
     finally:
         hashes.save()
+
+
+def _without_failures(dataset: Dataset) -> Dataset:
+    """The dataset without the scenes that could not be rendered."""
+    scenes = dataset.index.scenes
+    failed = {scene.id for scene in scenes if read_failure(dataset.render_folder(scene.id)) is not None}
+    if not failed:
+        return dataset
+    if len(failed) == len(scenes):
+        raise ShardError(f"no scene of {dataset.root} could be rendered: see night-render --status")
+    _log.warning("%d scenes that could not be rendered are left out, first %s", len(failed), min(failed))
+    kept = tuple(scene for scene in scenes if scene.id not in failed)
+    return Dataset(dataset.root, replace(dataset.index, scenes=kept))
 
 
 def preset_sha256(preset: Preset) -> str:

@@ -53,13 +53,14 @@ class Plan:
     def sentences(self) -> list[str]:
         """The plan for people to read."""
         layout = self.settings.layout(self.dataset)
-        parts = [f"phasors and ground truth {size(self.scenes * self.image_bytes)}"]
-        if self.settings.wants_transients:
-            parts.append(f"transients {size(self.scenes * self.transient_bytes)}")
+        images, transients = (size(self.scenes * each) for each in (self.image_bytes, self.transient_bytes))
+        parts = [f"phasors and ground truth {images}", f"transients {transients}"]
+        if not self.settings.wants_transients:
+            parts[1] = f"(transients would be {transients} more)"
         what = f"{self.scenes} scenes at {layout.width}x{layout.height}, {self.settings.method}"
         return [
             f"plan: {what}, product {self.settings.product}",
-            f"disk: {', '.join(parts)} ({size(self.scene_bytes)} a scene); {size(self.free_bytes)} free",
+            f"disk: {', '.join(parts)}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
         ]
 
     def refusal(self) -> str | None:

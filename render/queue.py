@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _WAIT_S = 1.0  # between looks at whether another command has finished its scenes
+_COUNT_S = 1.0  # between counts of the workers
 PATIENCE_S = 600.0  # without any worker before the command gives up
 _RESTART_S = 60  # for a fresh worker process to come up
 _MOST_UNBEGUN_DEATHS = 5  # workers that die before they begin a scene
@@ -80,9 +81,12 @@ class RenderQueue:
         answers: threads_queue.SimpleQueue[Future] = threads_queue.SimpleQueue()
         active: dict[Future, str] = {}
         failed, returned = _Failures(), set[str]()
-        idle_since = time.monotonic()
+        idle_since = counted = time.monotonic()
+        slots = self._slots()
         while waiting or active or elsewhere:
-            while waiting and len(active) < self._slots():
+            if time.monotonic() - counted > _COUNT_S:  # asking costs more than handing out a job
+                slots, counted = self._slots(), time.monotonic()
+            while waiting and len(active) < slots:
                 scene_id = waiting.popleft()
                 future = self._submit(scene_id, scene_id in returned)
                 active[future] = scene_id

@@ -14,12 +14,14 @@ from model import RowLayout, ShardError, fit_input_spec, open_shards
 from model.pieces import scenes_per_piece
 from scenegen import (
     DatasetError,
+    FailureRecord,
     FileRecord,
     RenderRecord,
     camera_axes,
     open_dataset,
     sha256_of,
     wall_normal,
+    write_failure,
     write_record,
 )
 
@@ -292,6 +294,22 @@ def test_shards_that_are_renewed_while_they_are_in_use_are_not_mixed(pairs):
     shutil.rmtree(pairs.shard_folder / "000000")
     with pytest.raises(ShardError, match="000000 changed while it was in use"):
         after.read([1])
+
+
+def test_scenes_that_could_not_be_rendered_are_left_out_until_they_can(dataset, caplog):
+    whole, rows = open_shards(dataset), [0, 1, 3, 4, 5]
+    expected = whole.complex_phasors(rows)
+    failure = FailureRecord(recipe="", attempts=2, reason="its mesh is broken")
+    kept = dataset.root / "kept"
+    shutil.move(dataset.render_folder("000002"), kept)
+    write_failure(dataset.render_folder("000002"), failure, "log")
+    fewer = open_shards(dataset)
+    assert "1 scenes that could not be rendered are left out, first 000002" in caplog.text
+    assert fewer.ids(range(5)) == whole.ids(rows)
+    assert np.array_equal(fewer.complex_phasors(range(5)), expected)
+    shutil.rmtree(dataset.render_folder("000002"))
+    shutil.move(kept, dataset.render_folder("000002"))
+    assert open_shards(dataset).manifest.data_sha256 == whole.manifest.data_sha256
 
 
 def test_a_scene_that_was_not_rendered_is_named(dataset):
