@@ -54,13 +54,13 @@ class Plan:
         """The plan for people to read."""
         layout = self.settings.layout(self.dataset)
         images, transients = (size(self.scenes * each) for each in (self.image_bytes, self.transient_bytes))
-        parts = [f"phasors and ground truth {images}", f"transients {transients}"]
+        space = f"phasors and ground truth {images}, transients {transients}"
         if not self.settings.wants_transients:
-            parts[1] = f"(transients would be {transients} more)"
+            space = f"phasors and ground truth {images} (transients would be {transients} more)"
         what = f"{self.scenes} scenes at {layout.width}x{layout.height}, {self.settings.method}"
         return [
             f"plan: {what}, product {self.settings.product}",
-            f"disk: {', '.join(parts)}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
+            f"disk: {space}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
         ]
 
     def refusal(self) -> str | None:

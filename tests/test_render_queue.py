@@ -214,7 +214,7 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(da
     process = start_render(data)
     claim = data / "renders" / ".claims" / "000001"
     kill_worker_at(process, claim)
-    wait_for(lambda: '"attempts": 2' in claim.read_text())
+    wait_for(lambda: claim.read_text().endswith(": 2}"))
     kill_worker_at(process, claim)
     output, errors = process.communicate()
     assert process.returncode == 1, errors

@@ -111,7 +111,8 @@ def test_a_killed_worker_ends_the_command_with_one_sentence(working, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 1), (signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGKILL, -9)]
+    ("number", "code"),
+    [(signal.SIGINT, 128 + signal.SIGINT), (signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGKILL, -9)],
 )
 def test_the_workers_end_with_the_command(working, number, code):
     workers = workers_of(working)
