@@ -39,7 +39,7 @@ _CONFIG = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.profile.enabled": False,
 }
-_CONNECT_S = 20
+_CONNECT_S = 10
 _ANY_LOCAL_PORT = "127.0.0.1:0"  # for the diagnostics page, whose usual port may be taken
 
 

@@ -5,7 +5,6 @@ Every test runs the real commands, with real worker processes, and compares with
 
 import json
 import os
-import random
 import re
 import shutil
 import signal
@@ -13,6 +12,7 @@ import subprocess
 import time
 from contextlib import contextmanager
 
+import numpy as np
 import psutil
 import pytest
 from night_commands import PRESET, night, words
@@ -104,12 +104,13 @@ def rendered(undisturbed, tmp_path):
 
 def test_a_command_killed_ten_times_at_random_leaves_what_an_undisturbed_one_does(data, undisturbed):
     _, expected, seconds = undisturbed
-    moments = random.Random(4)  # noqa: S311 - when to kill is no secret
+    moments = np.random.default_rng(4)
     killed = 0
-    for _ in range(10):
+    while killed < 10:
         process = start_render(data)
         try:
-            process.wait(moments.uniform(0.3, 1.0) * seconds)
+            process.wait(moments.uniform(0.2, 0.9) * seconds)
+            shutil.rmtree(data / "renders")  # it was faster than the signal: begin anew
         except subprocess.TimeoutExpired:
             workers = workers_of(process)
             process.kill()
@@ -118,7 +119,6 @@ def test_a_command_killed_ten_times_at_random_leaves_what_an_undisturbed_one_doe
             psutil.wait_procs(workers, timeout=30)
             assert not any(worker.is_running() for worker in workers)
         process.communicate()
-    assert killed > 0
     done = night_render(data)
     assert done.returncode == 0, done.stderr
     assert results(data) == expected
