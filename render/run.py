@@ -112,6 +112,7 @@ def render_dataset(
     with joined_run(renders, json.dumps(settings.common_recipe(dataset))), _log_file(renders / LOG_FILE):
         states = _look(dataset, settings, scenes, options)
         todo = _todo(dataset, states, options)
+        whole = set(scenes) == set(dataset.ids())
         done = [scene_id for scene_id, state in states.items() if state == "done"]
         skipped = sum(state == "failed" for state in states.values()) if not options.retry_failed else 0
         result = RunResult(0, len(done), skipped_failures=skipped)
@@ -123,15 +124,15 @@ def render_dataset(
             refusal = plan.refusal()
             if refusal and not options.ignore_space:
                 raise RenderError(refusal)
-            _note_settings(dataset, settings, finished=False)
+            _note_settings(dataset, settings, whole, finished=False)
             try:
                 tally = _work(dataset, settings, todo, options)
             except QueueError:
-                _note_settings(dataset, settings, finished=True)
+                _note_settings(dataset, settings, whole, finished=True)
                 raise
             counts = tally.counts
             result = RunResult(counts["rendered"], len(done) + counts["present"], tally.failures, skipped)
-        _note_settings(dataset, settings, finished=True)
+        _note_settings(dataset, settings, whole, finished=True)
         log.info(
             "%d rendered, %d were there, %d failed", result.rendered, result.present, len(result.failures)
         )
@@ -209,11 +210,11 @@ def _log_outcome(outcome: Outcome, final: bool) -> None:
             log.info("%s: %s", outcome.scene_id, line)
 
 
-def _note_settings(dataset: Dataset, settings: RenderSettings, *, finished: bool) -> None:
+def _note_settings(dataset: Dataset, settings: RenderSettings, whole: bool, *, finished: bool) -> None:
     """Keep in ``dataset.json`` how the dataset is rendered, and at the end of a run how well.
 
-    Settings of before stay as long as any scene is rendered with them: a few scenes rendered otherwise do not
-    speak for the dataset.
+    Settings of before stay as long as any scene is rendered with them, and the product of before after a run
+    that was not of the whole dataset: a few scenes rendered otherwise do not speak for the others.
     """
     before = open_dataset(dataset.root).index.rendering
     if before is not None:
@@ -221,8 +222,8 @@ def _note_settings(dataset: Dataset, settings: RenderSettings, *, finished: bool
         same = earlier.common_recipe(dataset) == settings.common_recipe(dataset)
         if not finished or (not same and _rendered_errors(dataset, earlier)):
             return
-        if same and earlier.wants_transients and not settings.wants_transients:
-            settings = replace(settings, product=earlier.product)  # its transients are still there
+        if same and (earlier.wants_transients or not whole):
+            settings = replace(settings, product=earlier.product)  # that of all scenes, not of a few
     errors = _rendered_errors(dataset, settings) if finished else []
     known = [error for error in errors if error is not None]
     layout = settings.layout(dataset)

@@ -467,7 +467,12 @@ def test_a_larger_product_adds_files_and_keeps_the_rest_as_it_was(data, undistur
         "mirrored.exr",
         "render.json",
     }
-    night_render(data, "--product", "both")
+    more = night_render(data, "--product", "both", "--only", "000003")
+    assert more.stdout.startswith("1 scenes rendered")
+    # Transients of one scene are no wish for those of all.
+    assert night_render(data, settings=[]).stdout.startswith("0 scenes rendered, 7 were there")
+    rest = night_render(data, "--product", "both")
+    assert rest.stdout.startswith("6 scenes rendered, 1 were there")
     assert results(data) == undisturbed[1]
 
 
