@@ -230,7 +230,7 @@ def _hidden(scene: Scene, image: Image, is_residual: bool) -> NDArray[np.float64
 
 
 def _title(dataset: Dataset, scene: Scene) -> str:
-    entry, roughness = dataset.index.scenes[scene.index], scene.relay_wall.roughness
+    entry, roughness = dataset.entry(scene.id), scene.relay_wall.roughness
     wall = "diffuse wall" if roughness is None else f"roughness {roughness:.2f}"
     return f"{scene.id}   {class_name(entry.object_class)}   {entry.split}   {wall}"
 

@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from itof import SPEED_OF_LIGHT
+from itof import unambiguous_range_m
 from render.distributions import SPLITS, Distributions, ratio_sentence, size_text
+from render.plan import size
 from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT
 from scenegen import Dataset, Preset
 
@@ -108,7 +109,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
         if rendering.hidden_error_max is not None:
             error += f", at most {rendering.hidden_error_max:.2%}"
     hertz = ", ".join(f"{frequency_hz / 1e6:g} MHz" for frequency_hz in preset.itof.frequencies_hz)
-    unambiguous_m = SPEED_OF_LIGHT / (2 * preset.itof.frequencies_hz[0])  # c / 2f, in depth
+    unambiguous_m = float(unambiguous_range_m(preset.itof.frequencies_hz[0]))
     return [
         ("images", f"{asked}, {rendered}; horizontal field of view {camera.horizontal_fov_deg:g} degrees"),
         ("frequencies", f"{hertz}; the first is unambiguous over {unambiguous_m:.2f} m of depth"),
@@ -116,7 +117,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
         ("light paths", f"at most {axis.max_bounces} surfaces"),
         ("pixels", ratio_sentence(found)),
         ("estimated error of the hidden signal", error),
-        ("disk used", ", ".join(f"{name} {_bytes(size)}" for name, size in _disk(dataset.root))),
+        ("disk used", ", ".join(f"{name} {size(count)}" for name, count in _disk(dataset.root))),
     ]
 
 
@@ -205,16 +206,6 @@ def _disk(root: Path) -> Iterator[tuple[str, int]]:
     for name in ("scenes", "renders", "shards"):
         if (root / name).is_dir():
             yield name, sum(file.stat().st_size for file in (root / name).rglob("*") if file.is_file())
-
-
-def _bytes(count: int) -> str:
-    """A number of bytes to three digits."""
-    value, unit = float(count), "B"
-    for larger in ("kB", "MB", "GB", "TB"):
-        if value < 999.5:
-            break
-        value, unit = value / 1000, larger
-    return f"{value:.3g} {unit}"
 
 
 def _versions(packages: Mapping[str, str]) -> str:

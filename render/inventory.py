@@ -12,7 +12,6 @@ from scenegen import Dataset, FileHashes, RenderRecord, read_failure, read_recor
 # done: all files whole, of this recipe. failed: tried with this recipe in vain. other: rendered with other
 # settings. damaged: recorded, but files are gone or not what was recorded. missing: none of these.
 State = Literal["done", "failed", "other", "damaged", "missing"]
-STATES: tuple[State, ...] = ("done", "failed", "other", "damaged", "missing")
 _READERS = 8  # threads that read files at once, for disks across a network
 
 

@@ -101,7 +101,7 @@ def render_scene(job: Job) -> Outcome:
             if hopeless:
                 reason = f"no space left for scene {job.scene_id} ({reason}): free some and start again"
             return Outcome(job.scene_id, "stop" if hopeless else "failed", reason, traceback.format_exc())
-        except Exception as error:
+        except Exception as error:  # of any kind: one bad scene must not end the batch
             reason = " ".join(str(error).split()).removeprefix(f"scene {job.scene_id}: ")
             reason = reason or type(error).__name__
             return Outcome(job.scene_id, "failed", reason, traceback.format_exc())

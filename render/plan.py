@@ -114,12 +114,12 @@ def make_plan(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], d
 
 
 def size(count: float) -> str:
-    """Bytes as people write them."""
+    """Bytes as people write them, to three digits."""
     for unit in ("bytes", "kB", "MB", "GB", "TB"):
         if count < 999.5 or unit == "TB":
             break
         count /= 1000
-    return f"{count:.0f} {unit}" if count >= 99.5 or unit == "bytes" else f"{count:.2g} {unit}"
+    return f"{count:.0f} {unit}" if count >= 999.5 else f"{count:.3g} {unit}"
 
 
 def _measured(dataset: Dataset, scene_id: str) -> tuple[int, int]:

@@ -151,7 +151,7 @@ class RenderQueue:
         except CancelledError:
             reason = "the connection to the Dask scheduler was lost: start again to go on"
             return Outcome(scene_id, "stop", reason)
-        except Exception as error:
+        except Exception as error:  # whatever a worker without NIGHT, or Dask itself, can raise
             what = " ".join(str(error).split()) or type(error).__name__
             reason = f"the workers cannot take jobs ({what}): is the same NIGHT installed where they run?"
             return Outcome(scene_id, "stop", reason)

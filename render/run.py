@@ -19,11 +19,11 @@ from tqdm import tqdm
 from render.backend import select_variant
 from render.claims import joined_run
 from render.clusters import connected
-from render.inventory import Inventory
+from render.inventory import Inventory, State
 from render.jobs import GROWTH_BYTES, Outcome
 from render.method import MethodOptions
 from render.plan import make_plan
-from render.queue import QueueError, RenderQueue
+from render.queue import QueueError, RenderQueue, Tally
 from render.settings import RenderError, RenderSettings, read_recipe, settings_of
 from scenegen import Dataset, RenderingProvenance, open_dataset, read_record, write_index
 
@@ -141,13 +141,13 @@ def render_dataset(
 
 def _look(
     dataset: Dataset, settings: RenderSettings, scenes: Sequence[str], options: RunOptions
-) -> dict[str, Any]:
+) -> dict[str, State]:
     inventory = Inventory(dataset, settings)
     with tqdm(total=len(scenes), unit="scene", desc="look", disable=not options.progress or None) as bar:
-        return dict(inventory.states(scenes, bar.update))
+        return inventory.states(scenes, bar.update)
 
 
-def _todo(dataset: Dataset, states: dict[str, Any], options: RunOptions) -> list[str]:
+def _todo(dataset: Dataset, states: dict[str, State], options: RunOptions) -> list[str]:
     """Scenes to render, in order."""
     others = [scene_id for scene_id, state in states.items() if state == "other"]
     if others and not options.replace:
@@ -160,7 +160,7 @@ def _todo(dataset: Dataset, states: dict[str, Any], options: RunOptions) -> list
     return [scene_id for scene_id, state in states.items() if state in wanted]
 
 
-def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], options: RunOptions) -> Any:
+def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], options: RunOptions) -> Tally:
     run_id = secrets.token_hex(8)
     connection = connected(
         workers=min(options.workers, len(todo)) if options.workers else None,
