@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 import os
 import re
 import signal
@@ -303,55 +304,172 @@ def _verify(dataset: scenegen.Dataset, ids: list[str], workers: int) -> None:
 @click.command()
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
-@click.option("--preset", help="Training settings: a name in data/training, or a .toml file.")
+@click.option(
+    "--preset", help="Settings: a name in data/training, or a .toml file.  [default for a new run: default]"
+)
 @click.option("--channels", help="Network input: paper, residual or paper+residual.")
+@click.option("--frequencies", metavar="MHZ,...", help="That the network sees, like 20,60; else all.")
 @click.option("--width", type=click.IntRange(min=1), help="Channels of the U-Net's first level.")
-@click.option("--loss", help="What the MAE is taken on: components or depth.")
+@click.option("--loss", help="mae, mse, mae+iou or mse+iou.")
+@click.option("--loss-on", help="What the error is taken on: components or depth.")
 @click.option("--alpha", type=click.FloatRange(min=0), help="Weight of the object in the loss.")
 @click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Adam's step.")
+@click.option("--schedule", help="Of the learning rate: constant or cosine.")
+@click.option("--warm-up-epochs", type=click.FloatRange(min=0), help="In which the learning rate grows.")
+@click.option("--clip-norm", type=click.FloatRange(min=0), help="Largest norm of the gradient; 0: any.")
+@click.option("--ema-decay", type=click.FloatRange(0, 1, max_open=True), help="Of averaged weights; 0: none.")
 @click.option("--batch-size", type=click.IntRange(min=1), help="Scenes a step.")
 @click.option("--max-epochs", type=click.IntRange(min=1), help="Longest training.")
 @click.option("--patience", type=click.IntRange(min=1), help="Epochs without a better validation loss.")
-@click.option("--augmentations", help="Of the training scenes: none, flip or paper.")
+@click.option("--flip-rows/--no-flip-rows", default=None, help="Flip top and bottom: an exact symmetry.")
+@click.option("--flip-columns/--no-flip-columns", default=None, help="Flip left and right: the paper does.")
+@click.option("--rotation-deg", type=click.FloatRange(0, 180), help="Turn by up to this; the paper: 180.")
+@click.option("--translation", type=click.FloatRange(0, 1), help="Shift by up to this part; the paper: 0.2.")
+@click.option("--amplitude-spread", type=click.FloatRange(min=0), help="Other exposures, to 1 + this times.")
 @click.option("--noise-sigma", type=click.FloatRange(min=0), help="Sensor noise, in 20 MHz amplitudes.")
+@click.option("--precision", help="Of the convolutions: auto, float32, bfloat16 or float16.")
+@click.option("--channels-last/--no-channels-last", default=None, help="Memory order of images.")
+@click.option("--compile/--no-compile", default=None, help="Compile the network (a minute at the start).")
+@click.option("--checkpoint-minutes", type=click.FloatRange(min=0), help="Between two checkpoints.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of weights, order and augmentation.")
 @DEVICE
 @click.option("--resume", is_flag=True, help="Go on with the run in --out, by its own settings.")
 @click.version_option(package_name="night-nlos")
 @refusing
-def night_train(dataset: Path, out: Path, preset: str | None, resume: bool, **options: Any) -> None:
-    """Train a network on the renders of DATASET; options override the preset."""
+def night_train(
+    dataset: Path, out: Path, preset: str | None, frequencies: str | None, resume: bool, **options: Any
+) -> None:
+    """Train a network on the renders of DATASET; options override the preset.
+
+    Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
+
+    torchrun --nproc-per-node 4 $(which night-train) DATASET --out RUN
+    """
     import model
 
     opened = scenegen.open_dataset(dataset)
     before = model.run_settings(out) if resume else {}
-    data, origin = scenegen.read_settings("training", preset) if preset else ({}, "options")
+    named = preset or (None if resume else "default")
+    data, origin = model.training_preset(named) if named else ({}, "options")
     given = {name: value for name, value in options.items() if value is not None}
+    if frequencies is not None:
+        given["frequencies_hz"] = _hertz(frequencies)
     settings = model.settings_from_dict(before | data | given, origin)
     result = model.train(opened, out, settings, resume=resume)
-    click.echo(
-        f"{result.epochs} epochs, ended by {result.ended_by}; best validation loss "
-        f"{result.best_validation_loss:.4f} in epoch {result.best_epoch}; run in {out}"
-    )
+    if model.is_first_process():
+        click.echo(
+            f"{result.epochs} epochs, ended by {result.ended_by}; best validation loss "
+            f"{result.best_validation_loss:.4f} in epoch {result.best_epoch}; run in {out}"
+        )
 
 
-@click.command()
+class DefaultGroup(click.Group):
+    """A group of commands, one of which (`default`) is meant where the first word names none of them."""
+
+    default = "judge"
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the default command's name before what cannot be meant for the group."""
+        if args and args[0] not in self.commands and args[0] not in ("--help", "--version"):
+            args = [self.default, *args]
+        return super().parse_args(ctx, args)
+
+    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
+        """The usage line of the default command; the others are listed below it."""
+        return self.commands[self.default].collect_usage_pieces(ctx)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The default command's options, then the list of commands."""
+        parameters = self.commands[self.default].get_params(ctx)
+        options = [parameter for parameter in parameters if isinstance(parameter, click.Option)]
+        records = [record for option in options if (record := option.get_help_record(ctx)) is not None]
+        with formatter.section("Options"):
+            formatter.write_dl(records)
+        self.format_commands(ctx, formatter)
+
+
+@click.group(cls=DefaultGroup)
+@click.version_option(package_name="night-nlos")
+def night_eval() -> None:
+    r"""Judge the network of RUN against the ground truth of DATASET, or use it.
+
+    \b
+    night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
+    night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
+    night-eval export RUN --out MODEL.onnx    the network as an ONNX file
+    """
+
+
+@night_eval.command(short_help="Compare with the ground truth; the word may be left out.")
 @click.argument("run", type=FOLDER)
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Report folder to write.")
 @click.option(
     "--split", type=click.Choice(["train", "validation", "test"]), default="test", show_default=True
 )
+@click.option(
+    "--mask-threshold",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Amplitude from which on a pixel shows the object, instead of the run's.",
+)
 @DEVICE
 @click.version_option(package_name="night-nlos")
 @refusing
-def night_eval(run: Path, dataset: Path, out: Path, split: Any, device: Any) -> None:
-    """Judge the network of RUN against the ground truth of DATASET."""
+def judge(run: Path, dataset: Path, out: Path, mask_threshold: float | None, **options: Any) -> None:
+    """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
     import model
 
-    report = model.evaluate(run, scenegen.open_dataset(dataset), out, split=split, device=device)
+    if mask_threshold is not None and not math.isfinite(mask_threshold):  # click takes nan for a float
+        raise click.BadParameter(f"{mask_threshold} is no amplitude", param_hint="--mask-threshold")
+    given = options if mask_threshold is None else options | {"mask_threshold": mask_threshold}
+    report = model.evaluate(run, scenegen.open_dataset(dataset), out, **given)
     click.echo(report.table)
-    click.echo(f"figures and point clouds in {out}")
+    click.echo(f"look at {out / 'index.html'}; figures and point clouds are beside it")
+
+
+@night_eval.command(short_help="Depth maps of your own measurements.")
+@click.argument("run", type=FOLDER)
+@click.argument("measurement", metavar="INPUT", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Folder to write; an earlier prediction is replaced.")
+@click.option(
+    "--rescale/--no-rescale",
+    default=None,
+    help="Bring each image's mean amplitude to that of the training scenes, or trust the unit of INPUT. By "
+    "default .npz and .h5 are rescaled, .exr is not.",
+)
+@DEVICE
+@refusing
+def predict(run: Path, measurement: Path, out: Path, rescale: bool | None, device: Any) -> None:
+    """Predict depth maps from the measurements in INPUT by the network of RUN.
+
+    INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
+    `frequencies_hz` (F) and, if there is one, `reference` (H, W, F): a capture of the empty corner. Each
+    image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY point cloud.
+    """
+    import model.prediction_files
+
+    images = model.prediction_files.predict_file(run, measurement, out, rescale=rescale, device=device)
+    for image in images:
+        click.echo(image.sentence)
+    click.echo(f"depth maps, pictures and point clouds in {out}")
+
+
+@night_eval.command(short_help="The network as an ONNX file.")
+@click.argument("run", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="File to write; it ends in .onnx.")
+@refusing
+def export(run: Path, out: Path) -> None:
+    """Write the network of RUN as an ONNX file, checked against PyTorch.
+
+    Input `channels` (N, C, H, W), output `components` (N, 2, H, W); the run's settings are in the metadata.
+    """
+    import model.onnx_export
+
+    check = model.onnx_export.export_onnx(run, out)
+    click.echo(
+        f"{out}: differs from PyTorch by at most {check.largest_difference:.2g} "
+        f"({check.tolerance:.2g} is rounding)"
+    )
 
 
 def _overridden(preset: str, count: int | None, seed: int | None) -> tuple[Preset, Path]:

@@ -4,7 +4,7 @@ Arrays are numpy, image axes are (..., H, W, F) or (..., H, W, T), lengths are m
 (out and back) where a name says `opl`, and metres of depth (half of it) where it says `depth`.
 """
 
-from itof.channels import network_channels, phasors_of_channels, residual_channels
+from itof.channels import network_channels, phasors_of_channels, phasors_of_residual, residual_channels
 from itof.direct import direct_phasors
 from itof.exr import (
     Image,
@@ -50,6 +50,7 @@ __all__ = [
     "phasor_of_return",
     "phasors",
     "phasors_of_channels",
+    "phasors_of_residual",
     "pixel_rays",
     "pixel_types",
     "points_from_radial",

@@ -3,41 +3,87 @@
 Tensors are (N, C, H, W) float32; numpy arrays at the edges keep the axes of `itof` and `scenegen`.
 """
 
-from model.augmentation import AUGMENTATIONS, Augmentation, Warp, augmentation_named
-from model.batches import Batch, make_batch
-from model.evaluation import EvaluationError, Report, SceneResult, evaluate
+from model.augmentation import Augmentation, Draws, Warp
+from model.batches import Batch, BatchMaker, TensorRows
+from model.calibration import ThresholdCurve
+from model.evaluation import EvaluationError, evaluate
 from model.feed import MEMORY_PART, Feed, machine_bytes, window_rows
+from model.groups import GroupTable, group_tables
 from model.inputs import CHANNELS, InputSpec, fit_input_spec
-from model.loss import LOSS_VARIANTS, NightLoss, intersection_over_union
-from model.metrics import ImageMetrics, Statistics, Summary, image_metrics, no_object_metrics, summarise
-from model.order import rows_by_piece, shuffled_windows, windows_in_order
+from model.interruption import Interruption
+from model.loss import LOSS_TARGETS, LOSSES, NightLoss, intersection_over_union
+from model.loss_watch import LossError, LossWatch
+from model.measurement_files import Measurement, MeasurementError, read_measurement
+from model.metrics import (
+    ImageMetrics,
+    Statistics,
+    Summary,
+    image_metrics,
+    mask_iou,
+    no_object_metrics,
+    summarise,
+)
+from model.onnx_export import ExportError, OnnxCheck, export_onnx
+from model.optimisation import Optimisation, learning_rate
+from model.order import rows_by_piece, shuffled_windows, windows_in_order, without_first
 from model.pointclouds import object_points, write_point_cloud
-from model.prediction import Prediction, Predictor, load_run
+from model.prediction import Prediction, Predictor, load
+from model.prediction_files import PredictedImage, PredictionError, predict_file
+from model.processes import Processes, is_first_process, joined_processes
 from model.readout import Readout
 from model.renders import RenderedScene, ShardError, read_render
+from model.results import Report
 from model.rows import RowBlock, RowLayout
 from model.run_folder import RunConfig, RunError, run_settings
-from model.settings import DEVICES, DeviceError, TrainSettings, choose_device, settings_from_dict
+from model.scene_result import SceneResult
+from model.settings import (
+    DEVICES,
+    PRECISIONS,
+    SCHEDULES,
+    DeviceError,
+    TrainSettings,
+    choose_device,
+    settings_from_dict,
+    training_preset,
+)
 from model.shards import ShardManifest, Shards, open_shards
 from model.training import TrainingError, TrainingResult, train
+from model.training_step import TrainingStep
 from model.unet import UNet
+from model.wall_view import WallView, wall_view
 
 __all__ = [
-    "AUGMENTATIONS",
     "CHANNELS",
     "DEVICES",
-    "LOSS_VARIANTS",
+    "LOSSES",
+    "LOSS_TARGETS",
     "MEMORY_PART",
+    "PRECISIONS",
+    "SCHEDULES",
     "Augmentation",
     "Batch",
+    "BatchMaker",
     "DeviceError",
+    "Draws",
     "EvaluationError",
+    "ExportError",
     "Feed",
+    "GroupTable",
     "ImageMetrics",
     "InputSpec",
+    "Interruption",
+    "LossError",
+    "LossWatch",
+    "Measurement",
+    "MeasurementError",
     "NightLoss",
+    "OnnxCheck",
+    "Optimisation",
+    "PredictedImage",
     "Prediction",
+    "PredictionError",
     "Predictor",
+    "Processes",
     "Readout",
     "RenderedScene",
     "Report",
@@ -51,23 +97,33 @@ __all__ = [
     "Shards",
     "Statistics",
     "Summary",
+    "TensorRows",
+    "ThresholdCurve",
     "TrainSettings",
     "TrainingError",
     "TrainingResult",
+    "TrainingStep",
     "UNet",
+    "WallView",
     "Warp",
-    "augmentation_named",
     "choose_device",
     "evaluate",
+    "export_onnx",
     "fit_input_spec",
+    "group_tables",
     "image_metrics",
     "intersection_over_union",
-    "load_run",
+    "is_first_process",
+    "joined_processes",
+    "learning_rate",
+    "load",
     "machine_bytes",
-    "make_batch",
+    "mask_iou",
     "no_object_metrics",
     "object_points",
     "open_shards",
+    "predict_file",
+    "read_measurement",
     "read_render",
     "rows_by_piece",
     "run_settings",
@@ -75,7 +131,10 @@ __all__ = [
     "shuffled_windows",
     "summarise",
     "train",
+    "training_preset",
+    "wall_view",
     "window_rows",
     "windows_in_order",
+    "without_first",
     "write_point_cloud",
 ]

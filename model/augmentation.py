@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import pi
-from typing import Literal
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from model.batches import Batch
-
-AugmentationName = Literal["none", "flip", "paper"]
-AUGMENTATIONS: tuple[AugmentationName, ...] = ("none", "flip", "paper")
+from model.batches import Batch, BatchMaker, TensorRows
 
 
 @dataclass(frozen=True)
@@ -77,8 +73,45 @@ class Warp:
 
 
 @dataclass(frozen=True)
+class Draws:
+    """What chance decided for each of N images, whatever is switched on.
+
+    Attributes
+    ----------
+    coins : (N, 2) bool, flips of rows and of columns.
+    turn, brightness : (N,) in [-1, 1).
+    shift : (N, 2) in [-1, 1).
+    noise_seed : (N,) int64, of each image's own stream of noise: an image's noise does not depend on the
+        batch or the process that it is in.
+    """
+
+    coins: Tensor
+    turn: Tensor
+    shift: Tensor
+    brightness: Tensor
+    noise_seed: Tensor
+
+    @classmethod
+    def of(cls, count: int, generator: torch.Generator) -> Draws:
+        """Draws for `count` images; `generator` lives on the CPU, so all devices see the same changes."""
+        uniform = 2 * torch.rand(count, 4, generator=generator) - 1  # -1..1
+        return cls(
+            coins=torch.rand(count, 2, generator=generator) < 0.5,
+            turn=uniform[:, 0],
+            shift=uniform[:, 1:3],
+            brightness=uniform[:, 3],
+            noise_seed=torch.randint(2**62, (count,), generator=generator),
+        )
+
+    def __getitem__(self, which: slice | list[int]) -> Draws:
+        return Draws(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+@dataclass(frozen=True)
 class Augmentation:
     """What may happen to a training image; every part can be switched off.
+
+    The measurement is changed first (brightness, noise), then its channels and the truth are warped.
 
     Attributes
     ----------
@@ -86,47 +119,47 @@ class Augmentation:
     flip_columns : flip left and right, every second image. Not a symmetry.
     rotation_deg : turn by up to this many degrees either way. Not a symmetry.
     translation : shift by up to this fraction of width and height either way. Not a symmetry.
-    noise_std : (C,) standard deviation of Gaussian noise added to each input channel, in the channel's own
-        unit (`InputSpec.noise_std` gives it for a sensor noise); None for no noise.
+    amplitude_spread : s, all phasors of an image times one factor from 1 / (1 + s) to 1 + s, even in its
+        logarithm; what another exposure or emitter power would do, so exact.
+    noise_sigma : standard deviation of Gaussian sensor noise on each phasor component, as a fraction of the
+        pixel's amplitude at the first frequency.
+
+    Source of the first four: Caligiuri et al. 2024, sec. 5.1.
     """
 
     flip_rows: bool = False
     flip_columns: bool = False
     rotation_deg: float = 0.0
     translation: float = 0.0
-    noise_std: Tensor | None = None
+    amplitude_spread: float = 0.0
+    noise_sigma: float = 0.0
 
-    def draw_warp(self, count: int, generator: torch.Generator) -> Warp:
-        """Random warps of `count` images. The stream advances alike whatever is switched on."""
-        flips = torch.rand(count, 2, generator=generator) < 0.5
-        angle = 2 * torch.rand(count, generator=generator) - 1  # -1..1
-        shift = 2 * torch.rand(count, 2, generator=generator) - 1
+    def warp(self, draws: Draws) -> Warp:
+        """The geometric part, for each image."""
         return Warp(
-            flip_rows=flips[:, 0] & self.flip_rows,
-            flip_columns=flips[:, 1] & self.flip_columns,
-            angle_rad=angle * (self.rotation_deg * pi / 180),
-            shift=shift * self.translation,
+            flip_rows=draws.coins[:, 0] & self.flip_rows,
+            flip_columns=draws.coins[:, 1] & self.flip_columns,
+            angle_rad=draws.turn * (self.rotation_deg * pi / 180),
+            shift=draws.shift * self.translation,
         )
 
-    def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
-        """A randomly changed batch; `generator` lives on the CPU, so all devices see the same changes."""
-        warped = self.draw_warp(len(batch.channels), generator)(batch)
-        if self.noise_std is None:
-            return warped
-        noise = torch.randn(warped.channels.shape, generator=generator) * self.noise_std[:, None, None]
-        channels = warped.channels + noise.to(warped.channels)
-        return Batch(channels, warped.target, warped.radial_depth_m, warped.mask)
+    def measured(self, phasor: Tensor, draws: Draws) -> Tensor:
+        """(N, H, W, F) phasors as a noisy sensor with another exposure would have measured them."""
+        if self.amplitude_spread > 0:
+            gain = (1 + self.amplitude_spread) ** draws.brightness  # (N,)
+            phasor = phasor * gain.to(phasor.device)[:, None, None, None]
+        if self.noise_sigma > 0:
+            noise = torch.stack([_noise(phasor[0], int(seed)) for seed in draws.noise_seed])
+            phasor = phasor + self.noise_sigma * phasor[..., :1].abs() * noise
+        return phasor
+
+    def __call__(self, rows: TensorRows, maker: BatchMaker, draws: Draws) -> Batch:
+        """The batch of `rows`, changed as chance decided for each of them."""
+        return self.warp(draws)(maker.batch(rows, self.measured(rows.phasor, draws)))
 
 
-def augmentation_named(name: AugmentationName, noise_std: Tensor | None = None) -> Augmentation:
-    """``none``; ``flip``: the one exact symmetry, top against bottom; ``paper``: all of the paper's.
-
-    Source of the ranges: Caligiuri et al. 2024, sec. 5.1 (±180 degrees, ±0.2 of width and height, flips).
-    """
-    if name == "none":
-        return Augmentation(noise_std=noise_std)
-    if name == "flip":
-        return Augmentation(flip_rows=True, noise_std=noise_std)
-    return Augmentation(
-        flip_rows=True, flip_columns=True, rotation_deg=180.0, translation=0.2, noise_std=noise_std
-    )
+def _noise(like: Tensor, seed: int) -> Tensor:
+    """Complex Gaussian noise of unit variance in *each* component, of the shape and device of `like`."""
+    generator = torch.Generator(like.device).manual_seed(seed)
+    components = torch.randn(*like.shape, 2, generator=generator, device=like.device)
+    return torch.view_as_complex(components)

@@ -1,8 +1,10 @@
-"""Rows of the shards as tensors: what one training step sees."""
+"""Scenes as tensors on the computing device: rows of the shards, and the batches made of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -11,6 +13,8 @@ from torch import Tensor
 
 from model.inputs import InputSpec
 from model.rows import RowBlock
+
+_TENSORS = ("phasor", "target", "radial_depth_m", "mask")
 
 
 @dataclass(frozen=True)
@@ -31,19 +35,91 @@ class Batch:
     mask: Tensor
 
 
-def make_batch(
-    block: RowBlock, reference: NDArray[np.complex128], inputs: InputSpec, device: torch.device
-) -> Batch:
-    """Network channels and ground truth of rows that were read, on `device`.
+@dataclass(frozen=True)
+class TensorRows:
+    """Rows of the shards on one device, as `model.RowBlock` is in memory.
 
-    Parameters
+    Attributes
     ----------
-    reference : (H, W, F) direct return of the bare relay wall.
+    rows : n row numbers, in the order of the tensors.
+    phasor : (n, H, W, F) complex64, at the network's frequencies.
+    target, radial_depth_m : (n, 2, H, W) and (n, H, W) float32.
+    mask : (n, H, W) uint8.
     """
-    channels = inputs.apply(block.complex_phasors(), reference)
-    return Batch(
-        channels=torch.from_numpy(channels).to(device),
-        target=torch.from_numpy(block.target).to(device),
-        radial_depth_m=torch.from_numpy(block.radial_depth_m).to(device),
-        mask=torch.from_numpy(block.mask.astype(np.float32)).to(device),
-    )
+
+    rows: tuple[int, ...]
+    phasor: Tensor
+    target: Tensor
+    radial_depth_m: Tensor
+    mask: Tensor
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def take(self, rows: Sequence[int]) -> TensorRows:
+        """A copy of some of the rows, in the order asked for."""
+        places = torch.tensor([self._places[row] for row in rows], device=self.mask.device)
+        return TensorRows(tuple(rows), *(getattr(self, name)[places] for name in _TENSORS))
+
+    def joined(self, other: TensorRows) -> TensorRows:
+        """These rows and then the other's."""
+        both = (torch.cat([getattr(self, name), getattr(other, name)]) for name in _TENSORS)
+        return TensorRows(self.rows + other.rows, *both)
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        return {row: place for place, row in enumerate(self.rows)}
+
+
+@dataclass(frozen=True)
+class BatchMaker:
+    """From rows of the shards to network channels, all on one device.
+
+    Attributes
+    ----------
+    inputs : which channels, how scaled.
+    places : of the network's frequencies among those of the shards.
+    reference : (H, W, F) complex64, direct return of the bare relay wall at the network's frequencies.
+    """
+
+    inputs: InputSpec
+    places: tuple[int, ...]
+    reference: Tensor
+
+    @classmethod
+    def for_shards(
+        cls,
+        inputs: InputSpec,
+        frequencies_hz: Sequence[float],
+        reference: NDArray[np.complex128],
+        device: torch.device,
+    ) -> BatchMaker:
+        """The maker for shards that hold these frequencies and this (H, W, F) direct return."""
+        places = tuple(inputs.places(frequencies_hz))
+        known = torch.from_numpy(reference[..., places].astype(np.complex64))
+        return cls(inputs, places, known.to(device))
+
+    def upload(self, block: RowBlock) -> TensorRows:
+        """Rows that were read, on the device."""
+        device, count = self.reference.device, block.phasors.shape[1] // 2  # components come in twos
+        parts = [
+            torch.from_numpy(block.phasors[:, [first + place for place in self.places]]).to(device)
+            for first in (0, count)
+        ]
+        return TensorRows(
+            block.rows,
+            torch.complex(*parts).movedim(1, -1).contiguous(),  # (n, H, W, F)
+            *(
+                torch.from_numpy(array).to(device)
+                for array in (block.target, block.radial_depth_m, block.mask)
+            ),
+        )
+
+    def batch(self, rows: TensorRows, phasor: Tensor | None = None) -> Batch:
+        """Network channels and ground truth of `rows`; `phasor` (N, H, W, F) instead of the measured one."""
+        return Batch(
+            channels=self.inputs.apply(rows.phasor if phasor is None else phasor, self.reference),
+            target=rows.target,
+            radial_depth_m=rows.radial_depth_m,
+            mask=rows.mask.float(),
+        )

@@ -1,4 +1,4 @@
-"""The paper's pictures: ground truth against prediction, and how often which accuracy is reached."""
+"""The paper's picture of a scene: ground truth against prediction."""
 
 from __future__ import annotations
 
@@ -53,27 +53,6 @@ def comparison_figure(title: str, truth: DepthView, prediction: DepthView, metri
         _finish_row(axes[row], top=row == 0)
     _colour_bars(figure, axes, components[1], depth)
     figure.suptitle(f"{title}\n{describe(metrics)}", fontsize=11)
-    return figure
-
-
-def accuracy_histogram(
-    metrics: Sequence[ImageMetrics], baseline: Sequence[ImageMetrics], split: str
-) -> Figure:
-    """How many scenes reach which accuracy, (1 - MAE in m + mIoU) / 2, with the averages marked."""
-    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    ours, nothing = ([m.accuracy for m in group] for group in (metrics, baseline))
-    edges = np.linspace(min(*ours, *nothing), 1.0, 26).tolist()
-    for values, name, colour in ((nothing, "no object", "0.6"), (ours, "prediction", "tab:blue")):
-        axes.hist(values, bins=edges, color=colour, alpha=0.75, label=f"{name}, mean {np.mean(values):.3f}")
-        axes.axvline(float(np.mean(values)), color=colour, linestyle="--", linewidth=1.2)
-    axes.set_xlabel("accuracy: mean of (1 - MAE in m) and mIoU")
-    axes.set_ylabel(f"scenes of {len(ours)}")
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.suptitle(f"accuracy on the {split} split", fontsize=11)
-    axes.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import sqrt
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from array_api_compat import array_namespace, device, is_array_api_obj
+from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
@@ -32,7 +32,7 @@ class InputSpec:
     Attributes
     ----------
     channels : which of the two sets, or both, paper first.
-    frequencies_hz : F modulation frequencies, Hz.
+    frequencies_hz : F modulation frequencies that the network sees, Hz; A_0 belongs to the first.
     amplitude_scale : mean amplitude at the first frequency over the training scenes, in the phasors' unit.
     residual_scale : 2F - 1 standard deviations, without unit; empty when `channels` has no residual.
 
@@ -72,44 +72,90 @@ class InputSpec:
     def _residual_count(self) -> int:
         return 2 * len(self.frequencies_hz) - 1  # two components a frequency, less Re r_0
 
-    def apply(self, phasor: ArrayLike, reference: ArrayLike | None = None) -> NDArray[np.float32]:
-        """Network channels (..., C, H, W) of phasors (..., H, W, F).
+    def places(self, available_hz: Sequence[float]) -> list[int]:
+        """Where the frequencies stand among those of a measurement.
+
+        Raises
+        ------
+        ValueError : one of them was not measured.
+        """
+        missing = [f for f in self.frequencies_hz if f not in available_hz]
+        if missing:
+            raise ValueError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
+        return [list(available_hz).index(f) for f in self.frequencies_hz]
+
+    def apply(self, phasor: Any, reference: Any = None) -> Any:
+        """Network channels (..., C, H, W) of phasors (..., H, W, F), of the same library and device.
 
         Parameters
         ----------
+        phasor : array of numpy, torch or another library of the array API, at `frequencies_hz`.
         reference : (H, W, F) direct return of the bare relay wall; needed by the residual channels alone.
 
         Raises
         ------
         ValueError : another number of frequencies, or no reference where one is needed.
         """
-        z = np.asarray(phasor)
+        z = phasor if is_array_api_obj(phasor) else np.asarray(phasor)
         if z.shape[-1] != len(self.frequencies_hz):
             raise ValueError(f"expected phasors at {len(self.frequencies_hz)} frequencies, got {z.shape[-1]}")
+        xp = array_namespace(z)
         parts = []
         if "paper" in self.channels:
             parts.append(network_channels(z, self.amplitude_scale))
         if self.uses_residual:
             if reference is None:
                 raise ValueError(f"channels {self.channels} need the relay wall's direct return as reference")
-            scale = np.asarray(self.residual_scale, dtype=np.float32)[:, None, None]  # (2F - 1, 1, 1)
-            parts.append(residual_channels(z, reference) / scale)
-        return np.concatenate(parts, axis=-3)
+            residual = residual_channels(z, reference)
+            scale = xp.asarray(self.residual_scale, dtype=xp.float32, device=device(z))
+            parts.append(residual / scale[:, None, None])  # (2F - 1, 1, 1)
+        return xp.concat(parts, axis=-3)
 
-    def noise_std(self, sigma: float) -> NDArray[np.float32]:
-        """(C,) standard deviation, in every channel, of sensor noise of `sigma` A_0 per phasor component.
 
-        To first order, and with A_0 taken at its mean where it is the channel; a residual difference
-        Re r_f - Re r_0 holds the noise of two components.
-        """
-        frequency_count = len(self.frequencies_hz)
-        parts: list[float] = []
-        if "paper" in self.channels:
-            parts += [sigma] * self._paper_count
-        if self.uses_residual:
-            gain = [1.0] * frequency_count + [sqrt(2.0)] * (frequency_count - 1)
-            parts += [sigma * g / scale for g, scale in zip(gain, self.residual_scale, strict=True)]
-        return np.array(parts, dtype=np.float32)
+def _megahertz(frequencies_hz: Sequence[float]) -> str:
+    return ", ".join(f"{f / 1e6:g}" for f in frequencies_hz)
+
+
+def fit_input_spec(
+    channels: Channels,
+    shards: Shards,
+    rows: Sequence[int],
+    frequencies_hz: Sequence[float] | None = None,
+) -> InputSpec:
+    """Constants of the training scenes `rows`, read one piece of the shards at a time.
+
+    Parameters
+    ----------
+    frequencies_hz : that the network is to see, of those in the shards; all when None.
+
+    Raises
+    ------
+    ValueError : no scenes, scenes without any light, or a frequency that was not rendered.
+    """
+    if not rows:
+        raise ValueError("the input channels are scaled by the training scenes, and there are none")
+    available = shards.manifest.frequencies_hz
+    chosen = tuple(frequencies_hz) if frequencies_hz else available
+    unscaled = InputSpec(
+        channels, chosen, 1.0, (1.0,) * (2 * len(chosen) - 1) if "residual" in channels else ()
+    )
+    places = unscaled.places(available)
+    reference = shards.reference[..., places]
+    amplitudes, means, squares = [], [], []
+    for phasor in _phasors(shards, rows):
+        amplitudes.append(amplitude(phasor[..., places[0]]).mean())
+        if unscaled.uses_residual:
+            residual = residual_channels(phasor[..., places], reference).astype(np.float64)  # (2F - 1, H, W)
+            means.append(residual.mean(axis=(1, 2)))
+            squares.append((residual**2).mean(axis=(1, 2)))
+    if not np.mean(amplitudes) > 0:
+        raise ValueError(f"the {len(rows)} training scenes hold no light at all: render them again")
+    residual_scale: tuple[float, ...] = ()
+    if unscaled.uses_residual:
+        variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
+        # A channel that never varies carries nothing, whatever it is divided by.
+        residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
+    return InputSpec(channels, chosen, float(np.mean(amplitudes)), residual_scale)
 
 
 def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:
@@ -118,34 +164,3 @@ def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex
         block = shards.read(piece)
         for row in piece:
             yield block.take([row]).complex_phasors()[0]
-
-
-def fit_input_spec(channels: Channels, shards: Shards, rows: Sequence[int]) -> InputSpec:
-    """Constants of the training scenes `rows`, read one piece of the shards at a time.
-
-    Raises
-    ------
-    ValueError : no scenes, or scenes without any light.
-    """
-    if not rows:
-        raise ValueError("the input channels are scaled by the training scenes, and there are none")
-    amplitudes, means, squares = [], [], []
-    for phasor in _phasors(shards, rows):
-        amplitudes.append(amplitude(phasor[..., 0]).mean())
-        if "residual" in channels:
-            residual = residual_channels(phasor, shards.reference).astype(np.float64)  # (2F - 1, H, W)
-            means.append(residual.mean(axis=(1, 2)))
-            squares.append((residual**2).mean(axis=(1, 2)))
-    if not np.mean(amplitudes) > 0:
-        raise ValueError(f"the {len(rows)} training scenes hold no light at all: render them again")
-    residual_scale: tuple[float, ...] = ()
-    if "residual" in channels:
-        variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
-        # A channel that never varies carries nothing, whatever it is divided by.
-        residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
-    return InputSpec(
-        channels=channels,
-        frequencies_hz=shards.manifest.frequencies_hz,
-        amplitude_scale=float(np.mean(amplitudes)),
-        residual_scale=residual_scale,
-    )

@@ -10,13 +10,15 @@ from torch import Tensor
 
 from model.readout import Readout
 
-LossVariant = Literal["components", "depth"]
-LOSS_VARIANTS: tuple[LossVariant, ...] = ("components", "depth")
+LossName = Literal["mae", "mse", "mae+iou", "mse+iou"]
+LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou")
+LossTarget = Literal["components", "depth"]
+LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
 
 
 @dataclass(frozen=True)
 class NightLoss:
-    """L = (L_MAE + L_IoU) / 2, each term the mean over the images of a batch.
+    """L = (L_MAE + L_IoU) / 2, or its ablations; each term the mean over the images of a batch.
 
     L_MAE = w_l MAE(object) + MAE(background) with w_l = alpha |B| / |O|, where |O| and |B| count an image's
     object and background pixels. Both errors are sums over their own pixels divided by the pixels of the
@@ -32,10 +34,14 @@ class NightLoss:
     Both can leave a prediction of nothing: |0 - target| has a gradient on every object pixel, and so has
     the straight-through mask, dIoU/dP = 1 / |O|. On the background both are at rest there.
 
+    The ablations: ``mae`` is L_MAE alone, ``mse`` has squares in place of the absolute values, with the
+    same weights, ``mse+iou`` is the mean of that and L_IoU.
+
     Attributes
     ----------
     readout : how an output is read.
-    variant : ``components``: the error is the mean of |Re error| and |Im error|, as in the paper's released
+    name : which terms.
+    on : ``components``: the error is the mean of |Re error| and |Im error|, as in the paper's released
         code, on the raw output (a smooth target everywhere, no wrap). ``depth``: the error is that of the
         radial depth in metres, as in the paper's text; where the mask is wrong it is the depth itself.
     alpha : weight of the object.
@@ -44,7 +50,8 @@ class NightLoss:
     """
 
     readout: Readout
-    variant: LossVariant = "components"
+    name: LossName = "mae+iou"
+    on: LossTarget = "components"
     alpha: float = 1 / 7
 
     def __call__(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
@@ -56,18 +63,19 @@ class NightLoss:
         radial_depth_m : (N, H, W) true depth, metres, 0 on background.
         mask : (N, H, W) true mask, 0 or 1, of the outputs' type.
         """
-        error = self.mean_absolute_error(output, target, radial_depth_m, mask)
+        error = self.mean_error(output, target, radial_depth_m, mask)
+        if not self.name.endswith("+iou"):
+            return error.mean()
         overlap = intersection_over_union(self.readout.mask(output), mask)
         return (error + 1 - overlap).mean() / 2  # the mean of two terms, not a path length
 
-    def mean_absolute_error(
-        self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor
-    ) -> Tensor:
-        """(N,) L_MAE of every image."""
-        if self.variant == "components":
-            error = (output - target).abs().mean(dim=1)  # (N, H, W)
+    def mean_error(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
+        """(N,) L_MAE, or its like of squares, of every image."""
+        power = 2 if self.name.startswith("mse") else 1
+        if self.on == "components":
+            error = (output - target).abs().pow(power).mean(dim=1)  # (N, H, W)
         else:
-            error = (self.readout.radial_depth_m(output) - radial_depth_m).abs()
+            error = (self.readout.radial_depth_m(output) - radial_depth_m).abs().pow(power)
         object_pixels = mask.sum(dim=(1, 2))  # (N,)
         pixels = mask[0].numel()
         weight = self.alpha * (pixels - object_pixels) / object_pixels.clamp_min(1)

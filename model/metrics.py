@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from array_api_compat import array_namespace
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,20 @@ def image_metrics(
     return ImageMetrics(
         depth_mae_m=float(error.mean()),
         object_mae_m=float(error[both].mean()) if both.any() else None,
-        object_iou=_iou(pred, truth),
-        background_iou=_iou(~pred, ~truth),
+        object_iou=float(mask_iou(pred, truth)),
+        background_iou=float(mask_iou(~pred, ~truth)),
     )
+
+
+def mask_iou(pred: Any, truth: Any) -> Any:
+    """(...) intersection over union of (..., H, W) bool masks; two empty masks agree (1).
+
+    Of numpy's arrays or another library's of the array API: torch's masks are judged on their device.
+    """
+    xp = array_namespace(pred, truth)
+    union = xp.sum(xp.astype(pred | truth, xp.float64), axis=(-2, -1))  # (...)
+    intersection = xp.sum(xp.astype(pred & truth, xp.float64), axis=(-2, -1))
+    return xp.where(union > 0, intersection / xp.where(union > 0, union, 1.0), 1.0)
 
 
 def no_object_metrics(radial_depth_gt_m: ArrayLike, mask_gt: ArrayLike) -> ImageMetrics:
@@ -113,11 +126,6 @@ def summarise(metrics: Sequence[ImageMetrics]) -> Summary:
         miou=_statistics(values["miou"]),
         accuracy=_statistics(values["accuracy"]),
     )
-
-
-def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    union = np.count_nonzero(a | b)
-    return np.count_nonzero(a & b) / union if union else 1.0
 
 
 def _statistics(values: Sequence[float]) -> Statistics:

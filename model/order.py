@@ -38,6 +38,17 @@ def shuffled_windows(
     return [_shuffled(window, generator) for window in _dealt(pieces, window_rows)]
 
 
+def without_first(windows: Iterable[list[int]], count: int) -> list[list[int]]:
+    """Windows without their first `count` rows; what is left keeps its order."""
+    left: list[list[int]] = []
+    for window in windows:
+        kept = window[count:]
+        count = max(0, count - len(window))
+        if kept:
+            left.append(kept)
+    return left
+
+
 def _dealt(pieces: Iterable[list[int]], window_rows: int) -> list[list[int]]:
     windows: list[list[int]] = []
     for piece in pieces:

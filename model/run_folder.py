@@ -1,7 +1,8 @@
 """The run folder: a contract between training and everything that uses a trained network.
 
 ``run.json`` (what was trained, on what, how), ``best.safetensors`` (weights of the best validation loss),
-``checkpoint.pt`` (everything needed to go on, loadable with ``weights_only=True``), ``history.csv`` (one
+``checkpoint.pt`` (everything needed to go on where it was written, in the middle of an epoch or not;
+loadable with ``weights_only=True``), ``history.csv`` (one
 line an epoch) and ``log/`` (TensorBoard).
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import pickle
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import fields
@@ -26,11 +28,12 @@ from model.inputs import InputSpec
 from model.readout import Readout
 from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
 from model.unet import UNet
+from model.wall_view import WallView
 from scenegen import PresetError, whole_file, write_text
-from scenegen.preset import STRICT, WholeCount, checked
+from scenegen.preset import STRICT, Positive, WholeCount, checked
 
-RUN_SCHEMA: Final = 1
-CHECKPOINT_KEYS = frozenset({"network", "optimiser", "generator", "history"})
+RUN_SCHEMA: Final = 2
+CHECKPOINT_KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
 
 
 class RunError(ValueError):
@@ -45,6 +48,8 @@ class RunConfig:
     ----------
     settings : as asked for.
     inputs : network channels and their constants, fitted on the training scenes.
+    output_frequency_hz : of the phasor that the network predicts: the dataset's first, Hz.
+    geometry : camera and relay wall, which decide the direct return.
     image_width, image_height : of the images trained on, pixels.
     preset_sha256, data_sha256 : which preset, and which scenes and renders it was trained on.
     night_version : of the program that trained it.
@@ -52,18 +57,20 @@ class RunConfig:
 
     settings: TrainSettings
     inputs: InputSpec
+    output_frequency_hz: Positive
+    geometry: WallView
     image_width: WholeCount
     image_height: WholeCount
     preset_sha256: str
     data_sha256: str
     night_version: str
-    schema_version: Literal[1] = RUN_SCHEMA
+    schema_version: Literal[2] = RUN_SCHEMA
 
     @property
     def readout(self) -> Readout:
         """How the network's output is read."""
         settings = self.settings
-        return Readout(self.inputs.frequencies_hz[0], settings.mask_threshold, settings.dead_zone)
+        return Readout(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone)
 
     def network(self, generator: torch.Generator | None = None) -> UNet:
         """An untrained network of this run's architecture."""
@@ -75,6 +82,7 @@ class EpochRecord:
     """One line of ``history.csv``: losses, and validation metrics of radial depth."""
 
     epoch: int
+    learning_rate: float
     train_loss: float
     validation_loss: float
     validation_mae_cm: float
@@ -133,20 +141,24 @@ def run_settings(folder: Path) -> dict[str, Any]:
 
 def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
     """What keeps a run from being resumed under `now`, as a sentence; None when nothing does."""
+    may_change = MAY_CHANGE_ON_RESUME
+    if before.settings.schedule != "constant":
+        may_change -= {"max_epochs"}  # the learning rate of all epochs depends on it
     for field in fields(TrainSettings):
         old, new = getattr(before.settings, field.name), getattr(now.settings, field.name)
-        if field.name not in MAY_CHANGE_ON_RESUME and old != new:
-            return f"{field.name} was {old} and is now {new}"
+        if field.name not in may_change and old != new:
+            why = " (the learning rate's schedule ends with it)" if field.name == "max_epochs" else ""
+            return f"{field.name} was {old} and is now {new}{why}"
     if before.data_sha256 != now.data_sha256:
         return "the dataset is not the one the run began with"
     return None
 
 
-def save_weights(folder: Path, network: UNet) -> None:
+def save_weights(folder: Path, weights: Mapping[str, Tensor]) -> None:
     """Write ``best.safetensors``."""
-    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    plain = {name: tensor.cpu().contiguous() for name, tensor in weights.items()}
     with whole_file(folder / "best.safetensors") as partial:
-        save_file(weights, partial)
+        save_file(plain, partial)
 
 
 def load_weights(folder: Path, network: UNet) -> None:
@@ -196,7 +208,9 @@ def load_checkpoint(folder: Path, device: torch.device) -> dict[str, Any] | None
     if not file.is_file():
         return None
     try:
-        state = torch.load(file, map_location=device, weights_only=True)
+        with warnings.catch_warnings():  # torch warns of pickles that it then refuses
+            warnings.simplefilter("ignore", UserWarning)
+            state = torch.load(file, map_location=device, weights_only=True)
     except (RuntimeError, OSError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
         raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
     if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:

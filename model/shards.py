@@ -22,7 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
-from itof import direct_phasors, join_components, split_components
+from itof import join_components, split_components
 from model.pieces import (
     PieceContents,
     PieceRecord,
@@ -34,14 +34,13 @@ from model.pieces import (
 )
 from model.renders import ShardError, read_render, source_hashes
 from model.rows import ARRAYS, RowBlock, RowLayout
+from model.wall_view import wall_view
 from scenegen import (
     Dataset,
     FileHashes,
     SceneEntry,
     Split,
-    camera_axes,
     read_failure,
-    wall_normal,
     whole_file,
     write_text,
 )
@@ -259,25 +258,13 @@ def _renew_reference(
                 return before.reference_sha256
         except OSError:
             _log.info("%s is missing", file)
-    components = split_components(_reference(dataset, layout.width, layout.height))  # (H, W, 2F)
+    reference = wall_view(dataset).direct_phasors(
+        layout.width, layout.height, dataset.preset.itof.frequencies_hz
+    )
+    components = split_components(reference)  # (H, W, 2F)
     with whole_file(file) as partial, partial.open("wb") as stream:
         np.save(stream, np.moveaxis(components, -1, 0).astype(np.float32))
     return hashes.sha256(file)
-
-
-def _reference(dataset: Dataset, width: int, height: int) -> NDArray[np.complex128]:
-    """(H, W, F) direct return of the bare relay wall; camera and wall are the same in every scene."""
-    scene = dataset.scene(dataset.ids()[0])
-    return direct_phasors(
-        width,
-        height,
-        scene.camera.horizontal_fov_deg,
-        dataset.preset.itof.frequencies_hz,
-        camera_axes(scene.camera),
-        scene.camera.location_m,
-        scene.relay_wall.location_m,
-        wall_normal(scene.relay_wall),
-    )
 
 
 def _read_manifest(folder: Path) -> ShardManifest | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -14,17 +14,17 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from model.augmentation import augmentation_named
-from model.batches import Batch, make_batch
+from model.augmentation import Draws
+from model.batches import BatchMaker, TensorRows
 from model.feed import Feed, window_rows
 from model.inputs import fit_input_spec
-from model.loss import NightLoss
-from model.metrics import image_metrics, summarise
-from model.prediction import read_output
-from model.rows import RowBlock
+from model.interruption import Interruption
+from model.loss_watch import LossError, LossWatch
+from model.metrics import mask_iou
+from model.optimisation import learning_rate
+from model.processes import Processes, joined_processes
 from model.run_folder import (
     EpochRecord,
     RunConfig,
@@ -38,11 +38,13 @@ from model.run_folder import (
     write_config,
     write_history,
 )
-from model.settings import TrainSettings, choose_device
+from model.settings import TrainSettings
 from model.shards import Shards, open_shards
+from model.training_log import TrainingLog
+from model.training_step import TrainingStep
+from model.wall_view import wall_view
 from scenegen import Dataset, Split, is_partial
 
-PICTURE_EVERY = 10  # epochs between pictures in TensorBoard
 _log = logging.getLogger(__name__)
 
 
@@ -70,21 +72,45 @@ def train(
 ) -> TrainingResult:
     """Train a network on a dataset's training scenes and write the run folder `out`.
 
-    With `resume`, go on after the last finished epoch of `out`, to the same weights as if it had never
-    been interrupted (to the bit on the CPU, with as many threads). Only `max_epochs`, `device` and
-    `progress` may differ then.
+    With `resume`, go on after the last batch of `out`'s checkpoint, to the same weights as if it had never
+    been interrupted (to the bit on the CPU, with as many threads and processes). Only `max_epochs` (where
+    the learning rate does not depend on it), `device`, `progress`, `compile` and `checkpoint_minutes` may
+    differ then.
 
-    Scenes of a split that take more than `memory_bytes` (by default `model.MEMORY_PART` of the machine's
-    memory) are streamed from the shards and shuffled in windows (`model.order`); a resumed run keeps the
-    windows it began with.
+    Started by torchrun, all its processes train one network together, each on its part of every batch.
+
+    Scenes of a split that take more than `memory_bytes` (by default `model.MEMORY_PART` of the memory of
+    machine or GPU) are streamed from the shards and shuffled in windows (`model.order`); a resumed run keeps
+    the windows it began with.
 
     Raises
     ------
-    TrainingError : no training or validation scenes; a loss that is not finite.
+    TrainingError : no training or validation scenes; a loss that is not finite or explodes.
     RunError : `out` is in use, or cannot be resumed with these settings.
     DeviceError, ShardError, ImageFileError : no such device; renders that are missing or unusable.
     """
-    device = choose_device(settings.device)
+    with joined_processes(settings.device) as processes:
+        _refuse(dataset, out, resume)
+        before = read_config(out) if resume else None  # a wrong folder should not cost the making of shards
+        with processes.first_one_first():
+            shards = open_shards(dataset, progress=settings.progress and processes.is_first)
+        config = _configure(dataset, shards, settings)
+        change = changed_setting(before, config) if before else None
+        if change:
+            raise RunError(
+                f"{out} cannot be resumed: {change}; use the run's own settings or start a new run"
+            )
+        with _naming_memory(config):
+            training = _Training(config, shards, processes, memory_bytes)
+            checkpoint = load_checkpoint(out, processes.device) if resume else None
+            if checkpoint:
+                training.restore(checkpoint, out / "checkpoint.pt")
+            if processes.is_first:
+                write_config(out, config)
+            return training.run(out)
+
+
+def _refuse(dataset: Dataset, out: Path, resume: bool) -> None:
     if not resume and out.exists() and not _is_free(out):
         hint = "resume it (--resume)" if (out / "run.json").is_file() else "it is not empty"
         raise RunError(f"{out} exists already: {hint} or choose another folder")
@@ -94,19 +120,6 @@ def train(
                 f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
                 "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
             )
-    before = read_config(out) if resume else None  # a wrong folder should not cost the making of shards
-    shards = open_shards(dataset, progress=settings.progress)
-    config = _configure(shards, settings)
-    change = changed_setting(before, config) if before else None
-    if change:
-        raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
-    with _naming_memory(config):
-        training = _Training(config, shards, device, memory_bytes)
-        checkpoint = load_checkpoint(out, device) if resume else None
-        if checkpoint:
-            training.restore(checkpoint, out / "checkpoint.pt")
-        write_config(out, config)
-        return training.run(out)
 
 
 def _is_free(out: Path) -> bool:
@@ -130,11 +143,17 @@ def _naming_memory(config: RunConfig) -> Iterator[None]:
         ) from None
 
 
-def _configure(shards: Shards, settings: TrainSettings) -> RunConfig:
+def _configure(dataset: Dataset, shards: Shards, settings: TrainSettings) -> RunConfig:
     manifest = shards.manifest
+    try:
+        inputs = fit_input_spec(settings.channels, shards, shards.rows("train"), settings.frequencies_hz)
+    except ValueError as error:
+        raise TrainingError(f"{dataset.root}: {error}") from None
     return RunConfig(
         settings=settings,
-        inputs=fit_input_spec(settings.channels, shards, shards.rows("train")),
+        inputs=inputs,
+        output_frequency_hz=manifest.frequencies_hz[0],
+        geometry=wall_view(dataset),
         image_width=manifest.width,
         image_height=manifest.height,
         preset_sha256=manifest.preset_sha256,
@@ -144,23 +163,28 @@ def _configure(shards: Shards, settings: TrainSettings) -> RunConfig:
 
 
 class _Training:
-    """State of a training run between epochs: network, optimiser, random stream and history."""
+    """State of a training run: network, optimiser, place in the epoch, history."""
 
     def __init__(
-        self, config: RunConfig, shards: Shards, device: torch.device, memory_bytes: int | None
+        self, config: RunConfig, shards: Shards, processes: Processes, memory_bytes: int | None
     ) -> None:
-        settings = config.settings
-        self.config, self.settings, self.shards, self.device = config, settings, shards, device
-        self.generator = torch.Generator().manual_seed(settings.seed)
-        self.network = config.network(self.generator).to(device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
-        self.loss = NightLoss(config.readout, settings.loss, settings.alpha)
-        noise = settings.noise_sigma
-        noise_std = torch.from_numpy(config.inputs.noise_std(noise)) if noise > 0 else None
-        self.augmentation = augmentation_named(settings.augmentations, noise_std)
-        rows: dict[Split, list[int]] = {s: shards.rows(s) for s in ("train", "validation")}
-        self.feeds = {s: Feed(shards, rows[s], window_rows(shards, len(rows[s]), memory_bytes)) for s in rows}
+        settings, device = config.settings, processes.device
+        self.config, self.settings, self.shards, self.processes = config, settings, shards, processes
+        frequencies_hz = shards.manifest.frequencies_hz
+        self.maker = BatchMaker.for_shards(config.inputs, frequencies_hz, shards.reference, device)
+        self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
+        steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
+        self.step = TrainingStep(config, self.maker, processes, steps)
+        self.optimisation = self.step.optimisation
         self.history: list[EpochRecord] = []
+        self.best_weights: dict[str, Tensor] = {}
+        self.batches_done, self.loss_total = 0, torch.zeros((), dtype=torch.float64, device=device)
+        self.saved_at = time.monotonic()
+
+    def _feed(self, split: Split, memory_bytes: int | None) -> Feed[TensorRows]:
+        rows = self.shards.rows(split)
+        window = window_rows(self.shards, len(rows), memory_bytes, self.processes.device)
+        return Feed(self.shards, rows, window, self.maker.upload)
 
     @property
     def best(self) -> EpochRecord:
@@ -172,7 +196,7 @@ class _Training:
         return bool(self.history) and len(self.history) - self.best.epoch >= self.settings.patience
 
     def run(self, out: Path) -> TrainingResult:
-        """Train until the last epoch or the end of patience; everything is on disk after every epoch."""
+        """Train until the last epoch or the end of patience, with a checkpoint now and then."""
         max_epochs, scenes = self.settings.max_epochs, len(self.feeds["train"].rows)
         done = len(self.history)
         if done >= max_epochs or self.out_of_patience():
@@ -180,110 +204,162 @@ class _Training:
             return self.result()
         bar = tqdm(
             total=max_epochs * scenes,
-            initial=done * scenes,
+            initial=min(done * scenes + self.batches_done * self.settings.batch_size, max_epochs * scenes),
             unit="scene",
-            disable=not self.settings.progress or None,
+            disable=not (self.settings.progress and self.processes.is_first) or None,
         )
-        with bar, SummaryWriter(str(out / "log"), purge_step=done + 1) as writer:
-            for epoch in range(done + 1, max_epochs + 1):
-                bar.set_description(f"epoch {epoch}", refresh=False)
-                record = self.validate(epoch, train_loss=self.train_epoch(epoch, bar))
+        is_first = self.processes.is_first
+        with Interruption() as interruption, bar, TrainingLog(out if is_first else None, done) as log:
+            while len(self.history) < max_epochs and not self.out_of_patience():
+                bar.set_description(f"epoch {len(self.history) + 1}", refresh=False)
+                train_loss = self.train_epoch(out, bar, interruption)
+                record = self.validate(train_loss)
                 bar.set_postfix(train=f"{record.train_loss:.4f}", validation=f"{record.validation_loss:.4f}")
-                self.history.append(record)
-                self.save(out)
-                self.report(writer, record)
-                if self.out_of_patience():
-                    _log.info("no better validation loss for %d epochs: stopping", self.settings.patience)
-                    break
+                self.finish_epoch(record)
+                if is_first:
+                    write_history(out, self.history)
+                    self.report(log, record)
+                self.save_if_due(out, interruption)
+            self.save(out)
+        if self.out_of_patience():
+            _log.info("no better validation loss for %d epochs: stopped", self.settings.patience)
         return self.result()
 
-    def train_epoch(self, epoch: int, bar: tqdm[None]) -> float:
-        """One pass over the training scenes in random order; mean loss of a scene."""
-        self.network.train()
-        feed, total = self.feeds["train"], 0.0
-        for block in feed.shuffled(self.settings.batch_size, self.generator):
-            batch = self.augmentation(self.batch(block), self.generator)
-            loss = self.loss_of(batch)
-            total += len(block) * self.checked(loss, epoch, block.rows)
-            self.optimiser.zero_grad()
-            loss.backward()
-            self.optimiser.step()
+    def train_epoch(self, out: Path, bar: tqdm[None], interruption: Interruption) -> float:
+        """What is left of a pass over the training scenes in random order; mean loss of a scene in it."""
+        self.step.network.train()
+        feed, size = self.feeds["train"], self.settings.batch_size
+        # Order and changes of all batches are a function of seed and epoch: they are the same after a resume.
+        epoch = len(self.history) + 1
+        generator = torch.Generator().manual_seed(_epoch_seed(self.settings.seed, epoch))
+        blocks = feed.shuffled(size, generator, skip=self.batches_done)
+        draws = Draws.of(len(feed.rows), generator)
+        watch = LossWatch(epoch, self.shards.ids, every=self.check_every)
+        for block in blocks:
+            mine = self.processes.share(range(len(block)))
+            part = block.take([block.rows[place] for place in mine])
+            chance = draws[[self.batches_done * size + place for place in mine]]
+            loss = self.step.loss_of(part, chance)
+            self.watch(watch, loss, part.rows)
+            own = self.processes.own(len(block))
+            # Gradients are averaged over processes; so weighted, that is the mean over the batch.
+            self.step.take(loss * (own * self.processes.count / len(block)))
+            self.loss_total += own * loss.detach()
+            self.batches_done += 1
             bar.update(len(block))
-        return total / len(feed.rows)
+            if self.batches_done % self.check_every == 0:
+                self.save_if_due(out, interruption, watch)
+        self.watch(watch)
+        return float(self.processes.total(self.loss_total)) / len(feed.rows)
+
+    @property
+    def check_every(self) -> int:
+        """Batches between two looks at the loss; a look makes the processor wait for the GPU."""
+        return 1 if self.processes.device.type == "cpu" else 16
+
+    def watch(self, watch: LossWatch, loss: Tensor | None = None, rows: Sequence[int] = ()) -> None:
+        """Keep an eye on a batch's loss, or on all that were not looked at; `TrainingError` when bad."""
+        try:
+            if loss is None:
+                watch.look()
+            else:
+                watch.add(loss.detach(), rows)
+        except LossError as error:
+            raise TrainingError(
+                f"{error}: try a smaller learning rate or clip_norm; the run keeps its last checkpoint"
+            ) from None
 
     @torch.no_grad()
-    def validate(self, epoch: int, train_loss: float) -> EpochRecord:
+    def validate(self, train_loss: float) -> EpochRecord:
         """Mean loss and metrics of the validation scenes, without augmentation."""
-        self.network.eval()
-        feed, total, metrics = self.feeds["validation"], 0.0, []
+        network = self.optimisation.judged.eval()
+        feed = self.feeds["validation"]
+        sums = torch.zeros(3, dtype=torch.float64, device=self.processes.device)
         for block in feed.in_order(self.settings.batch_size):
-            batch = self.batch(block)
-            output = self.network(batch.channels)
-            loss = self.loss(output, batch.target, batch.radial_depth_m, batch.mask)
-            total += len(block) * self.checked(loss, epoch, block.rows)
-            depth_m, mask, _ = read_output(output, self.config.readout)
-            truth = zip(block.radial_depth_m, block.mask, strict=True)
-            metrics += [image_metrics(d, m, *t) for d, m, t in zip(depth_m, mask, truth, strict=True)]
-        summary = summarise(metrics)
+            part = block.take([block.rows[place] for place in self.processes.share(range(len(block)))])
+            batch = self.maker.batch(part)
+            output = self.step.output(batch, network)
+            loss = self.step.judge(output, batch)
+            depth_error_m = (self.config.readout.radial_depth_m(output) - batch.radial_depth_m).abs().mean()
+            pred, truth = self.config.readout.mask(output) > 0, batch.mask > 0
+            miou = torch.stack([mask_iou(pred, truth), mask_iou(~pred, ~truth)]).mean()
+            sums += self.processes.own(len(block)) * torch.stack(
+                [loss.double(), depth_error_m.double(), miou]
+            )
+        loss, depth_mae_m, miou = (self.processes.total(sums) / len(feed.rows)).tolist()
         return EpochRecord(
-            epoch=epoch,
+            epoch=len(self.history) + 1,
+            learning_rate=learning_rate(self.settings, len(self.history) + 1),
             train_loss=train_loss,
-            validation_loss=total / len(feed.rows),
-            validation_mae_cm=100 * summary.depth_mae_m.mean,
-            validation_miou=summary.miou.mean,
+            validation_loss=loss,
+            validation_mae_cm=100 * depth_mae_m,
+            validation_miou=miou,
         )
 
-    def batch(self, block: RowBlock) -> Batch:
-        """Rows of the shards as a batch on the device."""
-        return make_batch(block, self.shards.reference, self.config.inputs, self.device)
+    def finish_epoch(self, record: EpochRecord) -> None:
+        """Add an epoch to the history and begin the next one."""
+        self.history.append(record)
+        self.batches_done = 0
+        self.loss_total.zero_()
+        if self.best is record:
+            weights = self.optimisation.judged.state_dict()
+            self.best_weights = {
+                name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in weights.items()
+            }
 
-    def loss_of(self, batch: Batch) -> Tensor:
-        """Loss of the network on a batch."""
-        return self.loss(self.network(batch.channels), batch.target, batch.radial_depth_m, batch.mask)
-
-    def checked(self, loss: Tensor, epoch: int, rows: Sequence[int]) -> float:
-        """The loss as a number; `TrainingError` when it is none."""
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            raise TrainingError(
-                f"the loss became {value} in epoch {epoch}, on scenes {', '.join(self.shards.ids(rows))}: "
-                "try a smaller learning rate; the run keeps its last good epoch"
+    def save_if_due(self, out: Path, interruption: Interruption, watch: LossWatch | None = None) -> None:
+        """Write a checkpoint when it is time, or when the process was asked to stop, and then stop."""
+        due = time.monotonic() - self.saved_at >= 60 * self.settings.checkpoint_minutes
+        if not self.processes.any(due or interruption.signal is not None):
+            return
+        if watch:
+            self.watch(watch)  # no checkpoint holds the weights that a bad loss left
+        self.save(out)
+        if self.processes.any(interruption.signal is not None):
+            epoch = len(self.history) + 1
+            _log.info(
+                "stopped in epoch %d after %d batches; --resume goes on there", epoch, self.batches_done
             )
-        return value
+            interruption.end()
+            raise KeyboardInterrupt  # another process was asked to stop
 
     def save(self, out: Path) -> None:
-        """Write the finished epoch; best weights first, so that no checkpoint outlives its best."""
-        if self.best is self.history[-1]:
-            save_weights(out, self.network)
+        """Write a checkpoint; best weights first, so that no checkpoint outlives its best."""
+        loss_total = float(self.processes.total(self.loss_total))
+        self.saved_at = time.monotonic()
+        if not self.processes.is_first:
+            return
+        if self.best_weights:
+            save_weights(out, self.best_weights)
         write_history(out, self.history)
         state = {
-            "network": self.network.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "generator": self.generator.get_state(),
+            "network": self.step.network.state_dict(),
+            "optimisation": self.optimisation.state(),
+            "best": self.best_weights,
+            "position": {"batches": self.batches_done, "loss_total": loss_total},
             "history": [asdict(record) for record in self.history],
             "window_rows": self.feeds["train"].window_rows,
         }
         save_checkpoint(out, state)
+        self.saved_at = time.monotonic()
 
-    def restore(self, state: dict[str, Any], file: Path) -> None:
+    def restore(self, state: Mapping[str, Any], file: Path) -> None:
         """Continue from a checkpoint; `RunError` when it is of another training."""
         try:
-            fill(self.network, state["network"], file)
-            settings = set(self.optimiser.param_groups[0])
-            self.optimiser.load_state_dict(state["optimiser"])
-            self.generator.set_state(state["generator"].cpu())
+            fill(self.step.network, state["network"], file)
+            fits = self.optimisation.restore(state["optimisation"])
             self.history = [EpochRecord(**record) for record in state["history"]]
-            self.keep_windows(int(state.get("window_rows", len(self.feeds["train"].rows))))
-            fits = settings <= set(self.optimiser.param_groups[0]) and all(
-                self.optimiser.state[parameter][moment].shape == parameter.shape
-                for parameter in self.network.parameters()
-                for moment in ("exp_avg", "exp_avg_sq")
-            )
+            self.best_weights = {name: tensor.cpu() for name, tensor in state["best"].items()}
+            fits = fits and bool(self.best_weights) == bool(self.history)
+            self.batches_done = int(state["position"]["batches"])
+            if self.processes.is_first:  # the total counts once
+                self.loss_total += float(state["position"]["loss_total"])
+            self.keep_windows(int(state["window_rows"]))
         except RunError:
             raise
         except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError):
             fits = False
-        if not (fits and self.history):
+        if not fits:
             raise RunError(f"{file} does not hold the state of this training: train again from the start")
 
     def keep_windows(self, window_rows: int) -> None:
@@ -295,19 +371,18 @@ class _Training:
                 "memory for them takes %d",
                 *(window_rows, feed.window_rows),
             )
-        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows)
+        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self.maker.upload)
 
-    def report(self, writer: SummaryWriter, record: EpochRecord) -> None:
-        """Scalars of every epoch, and now and then the first validation scene: truth above prediction."""
-        for name, value in asdict(record).items():
-            if name != "epoch":
-                writer.add_scalar(name, value, record.epoch)
-        if record.epoch % PICTURE_EVERY == 1:
-            batch = self.batch(self.shards.read(self.feeds["validation"].rows[:1]))
+    def report(self, log: TrainingLog, record: EpochRecord) -> None:
+        """Scalars of every epoch, and now and then what some validation scenes look like."""
+        log.scalars(asdict(record), self.optimisation)
+        if log.wants_pictures(record.epoch):
+            feed = self.feeds["validation"]
+            rows = self.maker.upload(self.shards.read(feed.rows[: log.PICTURES]))
             with torch.no_grad():
-                depth_m, _, _ = read_output(self.network(batch.channels), self.config.readout)
-            both = np.concatenate([batch.radial_depth_m[0].cpu().numpy(), depth_m[0]])  # (2H, W)
-            writer.add_image("radial_depth", both[None] / max(float(both.max()), 1e-9), record.epoch)
+                batch = self.maker.batch(rows)
+                output = self.step.output(batch, self.optimisation.judged)
+            log.pictures(batch, self.config.readout, output, record.epoch)
 
     def result(self) -> TrainingResult:
         """How the run stands."""
@@ -317,3 +392,8 @@ class _Training:
             best_validation_loss=self.best.validation_loss,
             ended_by="patience" if self.out_of_patience() else "max_epochs",
         )
+
+
+def _epoch_seed(seed: int, epoch: int) -> int:
+    """Seed of an epoch's random stream; streams of other epochs and seeds are independent of it."""
+    return int(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0] >> np.uint64(1))

@@ -16,7 +16,7 @@ from scenegen.dataset import (
 )
 from scenegen.file_hashes import FileHashes, sha256_of
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
-from scenegen.preset import Preset, PresetError, load_preset, preset_from_dict, read_settings
+from scenegen.preset import Preset, PresetError, data_folder, load_preset, preset_from_dict, read_settings
 from scenegen.render_record import (
     RECORD_FILE,
     FailureRecord,
@@ -51,6 +51,7 @@ __all__ = [
     "Split",
     "build_index",
     "camera_axes",
+    "data_folder",
     "is_partial",
     "leaks",
     "load_preset",

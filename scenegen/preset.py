@@ -255,7 +255,7 @@ def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
     ------
     PresetError : no such file, or not TOML.
     """
-    named = {file.stem: file for file in sorted(_data_folder(kind).glob("*.toml"))}
+    named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
     file = named.get(name_or_file, Path(name_or_file))
     try:
         return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
@@ -267,8 +267,8 @@ def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
         raise PresetError(f"{file} cannot be read as TOML: {error}") from None
 
 
-def _data_folder(kind: str) -> Path:
-    """Folder of named settings: the source tree's, else the installed one."""
+def data_folder(kind: str) -> Path:
+    """Folder data/<kind> of what comes with the program: the source tree's, else the installed one."""
     source = Path(__file__).parent.parent / "data" / kind
     return source if source.is_dir() else Path(sysconfig.get_path("data")) / "share" / "night" / kind
 

@@ -17,6 +17,10 @@ height = 18
 bin_count = 1400
 """
 
+_CHARTS = ("accuracy_histogram", "mae_histogram", "miou_histogram", "calibration_miou", "calibration_mae")
+_CURVES = ("training_loss", "training_mae", "training_miou")
+FIGURES = {f"{name}.png" for name in ("best", "median", "worst", *_CHARTS, *_CURVES)}  # of a report
+
 
 def words(command, *arguments):
     """A command line whose program is this environment's."""

@@ -33,7 +33,7 @@ HOME = {
     "mathutils": "scenegen/blender.py",
     "OpenEXR": "itof/exr.py",
     "Imath": "itof/exr.py",
-    "h5py": "render/tal_export.py",
+    "h5py": ("render/tal_export.py", "model/measurement_files.py"),
     "imageio_ffmpeg": "render/movie.py",
 }
 

@@ -4,12 +4,14 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import torch
 
 from itof import (
     direct_phasors,
     network_channels,
     phase_per_metre,
     phasors_of_channels,
+    phasors_of_residual,
     pixel_rays,
     points_from_radial,
     radial_from_z,
@@ -126,3 +128,62 @@ def test_residual_channels_see_a_hidden_return_to_first_order():
 def test_an_amplitude_scale_that_is_no_positive_number_is_refused(scale):
     with pytest.raises(ValueError, match="positive number"):
         network_channels(np.ones((6, 8, 3), complex), scale)
+
+
+def wall(distance_m: float = 2.0, fov_deg: float = 60.0) -> np.ndarray:
+    """(6, 8, F) direct return of a wall straight ahead."""
+    origin, point, normal = (0, 0, 0), (0, 0, distance_m), (0, 0, 1)
+    return direct_phasors(8, 6, fov_deg, FREQUENCIES_HZ, FACING_THE_WALL, origin, point, normal)
+
+
+def hidden_light(direct: np.ndarray) -> np.ndarray:
+    """A hidden return of 0.2 %, of another path in every pixel."""
+    opl_m = np.random.default_rng(3).uniform(6, 9, (*direct.shape[:2], 1))
+    return 2e-3 * np.abs(direct) * np.exp(1j * opl_m * phase_per_metre(FREQUENCIES_HZ))
+
+
+def test_residual_channels_and_the_amplitude_give_the_phasors_back():
+    reference = wall()
+    z = reference + hidden_light(reference)
+    again = phasors_of_residual(residual_channels(z, reference), reference, np.abs(z[..., 0]))
+    # Channels are float32: 6e-8 of their size, 2e-3, against phasors of size 1.
+    np.testing.assert_allclose(again, z, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="3 residual channels do not fit a reference at 3 frequencies"):
+        phasors_of_residual(np.zeros((3, 6, 8)), reference, np.abs(z[..., 0]))
+
+
+def test_a_millimetre_of_wrong_wall_shows_in_im_as_its_phase_and_in_re_to_second_order():
+    right, wrong = wall(2.0, 6.0), wall(2.001, 6.0)  # narrow: no spread of paths within a pixel
+    distance_m = 1e-3 / pixel_rays(8, 6, 6.0)[..., 2]  # (6, 8) along each ray
+    phase_error = -2 * distance_m[..., None] * phase_per_metre(FREQUENCIES_HZ)  # out and back
+    residual = residual_channels(right, wrong)
+    # sin e = e - e^3 / 6, and 1e-5 of it from the pixels' width.
+    np.testing.assert_allclose(np.moveaxis(residual[:3], 0, -1), phase_error, rtol=3e-5)
+    assert np.abs(phase_error[3, 4]).round(4).tolist() == [0.0008, 0.0021, 0.0025]
+    first = phase_error[..., :1]
+    second_order = (first**2 - phase_error[..., 1:] ** 2) / 2  # cos e_f - cos e_0, no path length
+    np.testing.assert_allclose(np.moveaxis(residual[3:], 0, -1), second_order, rtol=1e-2, atol=1e-8)
+    # With hidden light: its own part of Re changes by its size times the phase, 1e-3 of it.
+    z = right + hidden_light(right)
+    change = residual_channels(z, wrong)[3:] - residual_channels(z, right)[3:]
+    assert np.abs(change).max() < 4 * 2e-3 * np.abs(phase_error).max() + np.abs(second_order).max()
+
+
+def test_a_wrong_gain_of_the_sensor_drops_out_of_the_residual_channels():
+    reference = wall()
+    z = reference + hidden_light(reference)
+    one, thousand = residual_channels(z, reference), residual_channels(1000 * z, reference)
+    np.testing.assert_allclose(one, thousand, rtol=0, atol=1e-9)
+
+
+def test_channels_of_torch_tensors_are_those_of_numpy_arrays():
+    reference = wall()
+    z = reference + hidden_light(reference)
+    tensors = [torch.from_numpy(array.astype(np.complex64)) for array in (z, reference)]
+    residual = residual_channels(*tensors)
+    assert residual.dtype == torch.float32
+    # complex64: a few roundings of 6e-8 of the direct part, 3e-5 of the hidden.
+    np.testing.assert_allclose(residual.numpy(), residual_channels(z, reference), rtol=0, atol=5e-7)
+    np.testing.assert_allclose(
+        network_channels(tensors[0], 0.2).numpy(), network_channels(z, 0.2), rtol=1e-5, atol=1e-6
+    )

@@ -1,14 +1,19 @@
 """Augmentation against doing it by hand, alike in input and truth."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
-from model import Augmentation, Batch, Warp, augmentation_named
+from itof import direct_phasors, network_channels, phase_per_metre, residual_channels
+from model import Augmentation, Batch, BatchMaker, Draws, InputSpec, TensorRows, Warp
 
 HEIGHT, WIDTH = 6, 10
-NO_FLIP = torch.tensor([False, False])
+FREQUENCIES_HZ = (20e6, 50e6)
+PAPER = Augmentation(flip_rows=True, flip_columns=True, rotation_deg=180.0, translation=0.2)
+FACING_THE_WALL = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
 
 
 def batch_of(count: int = 2, height: int = HEIGHT, width: int = WIDTH) -> Batch:
@@ -34,11 +39,66 @@ def assert_each(result: Batch, batch: Batch, change, *, atol: float) -> None:
         assert torch.equal(getattr(result, name), change(getattr(batch, name))), name
 
 
-def test_no_augmentation_changes_nothing():
-    batch = batch_of()
-    assert_each(
-        augmentation_named("none")(batch, torch.Generator().manual_seed(0)), batch, lambda x: x, atol=0
+def draws_of(count: int, seed: int = 0) -> Draws:
+    return Draws.of(count, torch.Generator().manual_seed(seed))
+
+
+def measured_rows(count: int = 5) -> tuple[TensorRows, BatchMaker, np.ndarray, np.ndarray]:
+    """Rows of a wall with hidden light, their maker, and phasors and direct return as numpy arrays."""
+    rng = np.random.default_rng(2)
+    args = (WIDTH, HEIGHT, 60.0, FREQUENCIES_HZ, FACING_THE_WALL, (0, 0, 0), (0, 0, 2), (0, 0, 1))
+    direct = direct_phasors(*args)
+    opl_m = rng.uniform(6, 9, (count, HEIGHT, WIDTH, 1))
+    phasor = direct + 2e-3 * np.abs(direct) * np.exp(1j * opl_m * phase_per_metre(FREQUENCIES_HZ))
+    spec = InputSpec("paper+residual", FREQUENCIES_HZ, 0.3, (1e-3, 2e-3, 3e-3))
+    maker = BatchMaker.for_shards(spec, FREQUENCIES_HZ, direct, torch.device("cpu"))
+    truth = batch_of(count)
+    rows = TensorRows(
+        tuple(range(count)),
+        torch.from_numpy(phasor.astype(np.complex64)),
+        *(truth.target, truth.radial_depth_m, truth.mask.to(torch.uint8)),
     )
+    return rows, maker, phasor, direct
+
+
+def test_no_augmentation_changes_nothing():
+    rows, maker, _, _ = measured_rows()
+    result, plain = Augmentation()(rows, maker, draws_of(5)), maker.batch(rows)
+    for name in ("channels", "target", "radial_depth_m", "mask"):
+        assert torch.equal(getattr(result, name), getattr(plain, name)), name
+
+
+def test_an_augmented_pair_is_what_augmenting_by_hand_gives():
+    rows, maker, phasor, direct = measured_rows()
+    draws = draws_of(5, seed=1)
+    both = Augmentation(flip_rows=True, amplitude_spread=0.5, noise_sigma=1e-4)
+    result = both(rows, maker, draws)
+    assert 0 < int(draws.coins[:, 0].sum()) < 5  # some images are flipped and some are not
+    for index in range(5):
+        generator = torch.Generator().manual_seed(int(draws.noise_seed[index]))
+        noise = torch.randn(HEIGHT, WIDTH, 2, 2, generator=generator).double().numpy() @ np.array([1, 1j])
+        bright = phasor[index] * 1.5 ** float(draws.brightness[index])
+        noisy = bright + 1e-4 * np.abs(bright[..., :1]) * noise
+        residual = residual_channels(noisy, direct) / np.array([1e-3, 2e-3, 3e-3])[:, None, None]
+        expected = np.concatenate([network_channels(noisy, 0.3), residual])  # (C, H, W)
+        truths = [rows.target[index], rows.radial_depth_m[index], rows.mask[index].float()]
+        if draws.coins[index, 0]:
+            expected, truths = expected[:, ::-1], [truth.flip(-2) for truth in truths]
+        # Phasors are complex64: 1e-7 of 1, divided by the residual's scale of 1e-3.
+        np.testing.assert_allclose(result.channels[index].numpy(), expected, atol=5e-4)
+        for name, truth in zip(("target", "radial_depth_m", "mask"), truths, strict=True):
+            assert torch.equal(getattr(result, name)[index], truth), name
+
+
+def test_a_flip_of_the_rows_is_that_of_the_measurement_itself():
+    # The wall stands upright and the camera looks along the floor: its direct return is symmetric.
+    rows, maker, _, direct = measured_rows()
+    np.testing.assert_allclose(direct, direct[::-1], rtol=1e-12)
+    always = replace(draws_of(5), coins=torch.ones(5, 2, dtype=torch.bool))
+    flipped = Augmentation(flip_rows=True)(rows, maker, always)
+    upside_down = maker.batch(rows, rows.phasor.flip(1))
+    # The reference is complex64, alike above and below to 1e-7, over the residual's scale of 1e-3.
+    torch.testing.assert_close(flipped.channels, upside_down.channels, rtol=0, atol=5e-4)
 
 
 def test_flips_are_flips():
@@ -85,7 +145,7 @@ def test_input_and_truth_move_together_under_every_kind_of_warp():
     blob = torch.exp(-((x - 36) ** 2 + (y - 20) ** 2) / 30).repeat(6, 1, 1)  # (6, H, W)
     mask = (blob > 0.5).float()
     batch = Batch(blob[:, None], torch.stack([mask, mask], 1), 2 * mask, mask)
-    result = augmentation_named("paper")(batch, torch.Generator().manual_seed(5))
+    result = PAPER.warp(draws_of(6, seed=5))(batch)
     assert torch.equal(result.target[:, 0], result.mask)
     assert torch.equal(result.radial_depth_m, 2 * result.mask)
     for channel, moved in zip(result.channels[:, 0], result.mask, strict=True):
@@ -98,29 +158,45 @@ def test_input_and_truth_move_together_under_every_kind_of_warp():
 
 
 def test_draws_stay_in_range_differ_between_images_and_repeat_with_the_seed():
-    augmentation = augmentation_named("paper")
-    drawn = augmentation.draw_warp(2000, torch.Generator().manual_seed(3))
+    drawn = PAPER.warp(draws_of(2000, seed=3))
     assert 0.99 * math.pi < float(drawn.angle_rad.abs().max()) <= math.pi
     assert 0.19 < float(drawn.shift.abs().max()) <= 0.2
     # A fair coin, 2000 times: within 4.5 standard deviations of a half.
     assert abs(float(drawn.flip_rows.float().mean()) - 0.5) < 4.5 * 0.5 / 2000**0.5
-    again = augmentation.draw_warp(2000, torch.Generator().manual_seed(3))
+    again = PAPER.warp(draws_of(2000, seed=3))
     assert torch.equal(drawn.angle_rad, again.angle_rad)
 
 
 def test_flip_touches_rows_alone():
-    drawn = augmentation_named("flip").draw_warp(100, torch.Generator().manual_seed(0))
+    drawn = Augmentation(flip_rows=True).warp(draws_of(100))
     assert drawn.flip_rows.any()
     assert not drawn.flip_columns.any()
     assert not drawn.angle_rad.any()
     assert not drawn.shift.any()
 
 
-def test_noise_has_the_deviation_of_its_channel_and_spares_the_truth():
-    batch = batch_of(2, 100, 150)
-    std = torch.tensor([0.0, 0.1, 2.0])
-    result = Augmentation(noise_std=std)(batch, torch.Generator().manual_seed(0))
-    noise = result.channels - batch.channels
-    # The deviation of n = 30000 values has a relative error of 1 / sqrt(2 n) = 0.4 %; 4.5 of those.
-    torch.testing.assert_close(noise.std(dim=(0, 2, 3)), std, rtol=0.018, atol=0)
-    assert torch.equal(result.target, batch.target)
+def test_sensor_noise_has_its_deviation_on_every_component_and_is_each_images_own():
+    rows, _, _, _ = measured_rows(200)
+    sigma, draws = 1e-3, draws_of(200)
+    noise = Augmentation(noise_sigma=sigma).measured(rows.phasor, draws) - rows.phasor
+    relative = torch.view_as_real(noise / rows.phasor[..., :1].abs())  # (N, H, W, F, 2)
+    # The deviation of n = 12000 values has a relative error of 1 / sqrt(2 n) = 0.65 %; 4.5 of those.
+    torch.testing.assert_close(relative.std(dim=(0, 1, 2)), torch.full((2, 2), sigma), rtol=0.03, atol=0)
+    assert abs(float((relative[0] * relative[1]).mean())) < 4.5 * sigma**2 / (4 * HEIGHT * WIDTH) ** 0.5
+    # An image's noise does not depend on the others of its batch.
+    alone = Augmentation(noise_sigma=sigma).measured(rows.phasor[7:8], draws[7:8])
+    assert torch.equal(alone[0], (rows.phasor + noise)[7])
+
+
+def test_another_exposure_changes_the_amplitude_channel_alone():
+    rows, maker, _, _ = measured_rows()
+    draws = draws_of(5)
+    result, plain = (
+        Augmentation(amplitude_spread=1.0)(rows, maker, draws).channels,
+        maker.batch(rows).channels,
+    )
+    gain = 2**draws.brightness
+    torch.testing.assert_close(result[:, 0], plain[:, 0] * gain[:, None, None], rtol=1e-6, atol=0)
+    torch.testing.assert_close(result[:, 1:], plain[:, 1:], rtol=0, atol=5e-4)
+    assert float(gain.min()) >= 0.5
+    assert float(gain.max()) <= 2

@@ -41,7 +41,7 @@ def test_iou_of_hand_made_masks():
 def test_a_perfect_prediction_costs_nothing():
     target, depth_m, mask = truth(one_object())
     for variant in ("components", "depth"):
-        loss = NightLoss(READOUT, variant)(target, target, depth_m, mask)
+        loss = NightLoss(READOUT, on=variant)(target, target, depth_m, mask)
         # float32 phase: 7.5 m * 6e-8 * a few operations
         assert float(loss) == pytest.approx(0, abs=2e-6)
 
@@ -66,8 +66,40 @@ def test_the_depth_loss_of_a_hand_made_prediction():
     output[0, :, 0, 0] = torch.tensor([nearer.real, nearer.imag])  # half a metre off
     output[0, :, 0, 1] = 0  # missed: the whole 3 m
     weight = (1 / 7) * 4 / 2
-    loss = NightLoss(READOUT, "depth")(output, target, depth_m, mask)
+    loss = NightLoss(READOUT, on="depth")(output, target, depth_m, mask)
     assert float(loss) == pytest.approx((weight * (0.5 + 3.0) / 6 + 1 - 1 / 2) / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize("on", ["components", "depth"])
+def test_the_ablations_of_a_hand_made_prediction(on):
+    target, depth_m, mask = truth(one_object(), 3.0)
+    output = target.clone()
+    output[0, :, 0, 1] = 0  # missed
+    output[0, :, 1, 2] = torch.tensor([0.6, -0.8])  # false, at 7.5 m (1 - 0.9273 / 2 pi)
+    false_m = float(depth_from_phase(phase(0.6 - 0.8j), 20e6))
+    missed, false = (
+        ([float(x) for x in target[0, :, 0, 1].abs()], [0.6, 0.8])
+        if on == "components"
+        else (
+            [3.0],
+            [false_m],
+        )
+    )
+    weight = (1 / 7) * 4 / 2  # alpha |B| / |O|
+
+    def error(power: int) -> float:
+        on_object, on_background = (np.mean([x**power for x in part]) for part in (missed, false))
+        return (weight * on_object + on_background) / 6
+
+    no_overlap = 1 - 1 / 3  # one of three pixels that either calls object
+    expected = {
+        "mae": error(1),
+        "mse": error(2),
+        "mae+iou": (error(1) + no_overlap) / 2,
+        "mse+iou": (error(2) + no_overlap) / 2,
+    }
+    found = {name: float(NightLoss(READOUT, name, on)(output, target, depth_m, mask)) for name in expected}
+    assert found == pytest.approx(expected, rel=1e-5)
 
 
 def test_an_image_without_object_costs_only_its_false_pixels():
@@ -93,7 +125,7 @@ def test_descent_leaves_the_prediction_of_nothing_and_finds_the_object(variant):
     target, depth_m, mask = truth(one_object().repeat(2, 1, 1))
     output = 1e-3 * torch.randn(target.shape, generator=torch.Generator().manual_seed(2))
     output[0] = 0  # one image exactly nothing, one almost
-    loss = NightLoss(READOUT, variant)
+    loss = NightLoss(READOUT, on=variant)
     output.requires_grad_()
     step = 0.5
     for _ in range(1200):
@@ -111,7 +143,7 @@ def test_gradients_stay_finite_everywhere_and_stop_beyond_the_amplitude_of_the_t
     for variant in ("components", "depth"):
         for scale in (0.0, 1e-20, 0.04, 1.0, 1e6):
             output = (scale * torch.ones_like(target)).requires_grad_()
-            NightLoss(READOUT, variant)(output, target, depth_m, mask).backward()
+            NightLoss(READOUT, on=variant)(output, target, depth_m, mask).backward()
             assert torch.isfinite(output.grad).all()
     output = (3 * target).requires_grad_()
     intersection_over_union(READOUT.mask(output), mask).sum().backward()

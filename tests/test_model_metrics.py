@@ -1,7 +1,10 @@
-"""Metrics against numbers worked out by hand."""
+"""Metrics against numbers worked out by hand, and against scikit-learn and torchmetrics."""
 
 import numpy as np
 import pytest
+import torch
+from sklearn.metrics import jaccard_score, mean_absolute_error
+from torchmetrics import JaccardIndex, MeanAbsoluteError
 
 from model import image_metrics, no_object_metrics, summarise
 
@@ -58,3 +61,62 @@ def test_images_of_other_sizes_and_nan_are_refused():
         image_metrics(DEPTH_PRED.T, MASK_PRED, DEPTH_GT, MASK_GT)
     with pytest.raises(ValueError, match="NaN"):
         image_metrics(np.full((2, 3), np.nan), MASK_PRED, DEPTH_GT, MASK_GT)
+
+
+def random_images(kind, seed):
+    """Depth and mask (H, W) of prediction and truth, at QVGA's aspect ratio but no multiple of anything."""
+    rng = np.random.default_rng(seed)
+    shares = {"both": (0.2, 0.3), "no prediction": (0, 0.3), "no truth": (0.2, 0), "neither": (0, 0)}[kind]
+    views = []
+    for share in shares:
+        mask = rng.random((19, 31)) < share
+        views += [np.where(mask, rng.uniform(0.5, 7.0, mask.shape), 0.0), mask]
+    return views
+
+
+KINDS = ("both", "no prediction", "no truth", "neither")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_metrics_are_those_of_scikit_learn(kind):
+    depth_pred, mask_pred, depth_gt, mask_gt = random_images(kind, seed=1)
+    metrics = image_metrics(depth_pred, mask_pred, depth_gt, mask_gt)
+    mae = mean_absolute_error(depth_gt.ravel(), depth_pred.ravel())
+    assert metrics.depth_mae_m == pytest.approx(mae, rel=1e-12)  # float64 sums of 589 values
+    both = mask_pred & mask_gt
+    if both.any():
+        on_object = mean_absolute_error(depth_gt[both], depth_pred[both])
+        assert metrics.object_mae_m == pytest.approx(on_object, rel=1e-12)
+    else:
+        assert metrics.object_mae_m is None
+    # Two empty masks agree; scikit-learn leaves that 0 / 0 to its caller.
+    ious = [jaccard_score(mask_gt.ravel(), mask_pred.ravel(), pos_label=p, zero_division=1) for p in (1, 0)]
+    assert [metrics.object_iou, metrics.background_iou] == pytest.approx(ious, rel=1e-12)
+    assert metrics.miou == pytest.approx(np.mean(ious), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_metrics_are_those_of_torchmetrics(kind):
+    depth_pred, mask_pred, depth_gt, mask_gt = random_images(kind, seed=2)
+    metrics = image_metrics(depth_pred, mask_pred, depth_gt, mask_gt)
+    mae = MeanAbsoluteError()(torch.from_numpy(depth_pred), torch.from_numpy(depth_gt))
+    assert metrics.depth_mae_m == pytest.approx(float(mae), rel=1e-5)  # it sums 589 values in float32
+    for background, ours in ((False, metrics.object_iou), (True, metrics.background_iou)):
+        masks = [torch.from_numpy((mask ^ background).astype(np.int64)) for mask in (mask_pred, mask_gt)]
+        iou = JaccardIndex(task="binary", zero_division=1)(*masks)
+        assert ours == pytest.approx(float(iou), rel=1e-6)  # one division in float32
+    if mask_pred.any() or mask_gt.any():  # of two empty masks it leaves the object out of the mean
+        mean = JaccardIndex(task="multiclass", num_classes=2, average="macro")(
+            *(torch.from_numpy(mask.astype(np.int64)) for mask in (mask_pred, mask_gt))
+        )
+        assert metrics.miou == pytest.approx(float(mean), rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_baseline_is_that_of_an_empty_prediction_in_scikit_learn(kind):
+    *_, depth_gt, mask_gt = random_images(kind, seed=3)
+    metrics = no_object_metrics(depth_gt, mask_gt)
+    empty = np.zeros(mask_gt.size)
+    assert metrics.depth_mae_m == pytest.approx(mean_absolute_error(depth_gt.ravel(), empty), rel=1e-12)
+    iou = jaccard_score(mask_gt.ravel(), empty.astype(bool), zero_division=1)
+    assert metrics.object_iou == pytest.approx(iou, rel=1e-12)

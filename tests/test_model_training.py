@@ -4,12 +4,15 @@ import csv
 import json
 import logging
 import shutil
+import tomllib
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+from night_commands import FIGURES
 from safetensors.torch import load_file, save_file
 from synthetic_dataset import write_synthetic_dataset
 
@@ -25,14 +28,17 @@ from model import (
     TrainSettings,
     choose_device,
     evaluate,
-    load_run,
+    load,
     open_shards,
     run_settings,
     settings_from_dict,
     train,
+    training_preset,
 )
+from scenegen import PresetError
 from scenegen.whole_files import HOST
 
+FLIP = {"flip_columns": False, "rotation_deg": 0.0, "translation": 0.0}
 QUICK = {
     "width": 2,
     "batch_size": 3,
@@ -40,7 +46,10 @@ QUICK = {
     "learning_rate": 1e-3,
     "progress": False,
     "device": "cpu",
-    "augmentations": "paper",
+    "flip_columns": True,
+    "rotation_deg": 180.0,
+    "translation": 0.2,
+    "checkpoint_minutes": 0.0,
 }
 
 
@@ -74,6 +83,10 @@ def run(finished_run, tmp_path):
 
 def settings(**changes) -> TrainSettings:
     return TrainSettings(**(QUICK | changes))
+
+
+def loss_of(**changes) -> tuple[str, str]:
+    return settings(**changes).loss, settings(**changes).loss_on
 
 
 def edit_config(run, **changes) -> None:
@@ -231,7 +244,7 @@ def test_asking_for_cuda_where_there_is_none_is_refused(dataset, tmp_path):
 
 def test_a_run_folder_holds_what_it_promises(dataset, finished_run):
     config = json.loads((finished_run / "run.json").read_text())
-    assert config["schema_version"] == 1
+    assert config["schema_version"] == 2
     assert config["settings"]["batch_size"] == 3
     assert config["inputs"]["frequencies_hz"] == [20e6, 50e6, 60e6]
     with (finished_run / "history.csv").open() as stream:
@@ -244,7 +257,7 @@ def test_a_run_folder_holds_what_it_promises(dataset, finished_run):
 
 def test_predictions_of_one_image_and_of_many_agree(dataset, finished_run):
     shards = open_shards(dataset)
-    predictor = load_run(finished_run, "cpu")
+    predictor = load(finished_run, "cpu")
     phasor = shards.complex_phasors([0, 1, 2])
     many, one = predictor.predict(phasor, shards.reference), predictor.predict(phasor[1], shards.reference)
     assert many.radial_depth_m.shape == phasor.shape[:3]
@@ -258,36 +271,36 @@ def test_predictions_of_one_image_and_of_many_agree(dataset, finished_run):
 
 def test_unusable_runs_are_refused_in_one_sentence(run, tmp_path):
     with pytest.raises(RunError, match="there is no folder"):
-        load_run(tmp_path / "nowhere")
+        load(tmp_path / "nowhere")
     (tmp_path / "foreign").mkdir()
     with pytest.raises(RunError, match="is no training run"):
-        load_run(tmp_path / "foreign")
+        load(tmp_path / "foreign")
 
     weights = (run / "best.safetensors").read_bytes()
     (run / "best.safetensors").write_bytes(weights[: len(weights) // 2])
     with pytest.raises(RunError, match=r"best.safetensors is damaged"):
-        load_run(run)
+        load(run)
     (run / "best.safetensors").unlink()
     with pytest.raises(RunError, match=r"has no best.safetensors"):
-        load_run(run)
+        load(run)
 
     config = json.loads((run / "run.json").read_text())
-    edit_config(run, schema_version=2)
-    with pytest.raises(RunError, match="schema version 2, this program reads version 1"):
-        load_run(run)
-    edit_config(run, schema_version=1, settings=config["settings"] | {"widht": 3})
+    edit_config(run, schema_version=3)
+    with pytest.raises(RunError, match="schema version 3, this program reads version 2"):
+        load(run)
+    edit_config(run, schema_version=2, settings=config["settings"] | {"widht": 3})
     with pytest.raises(RunError, match=r"unknown key settings.widht"):
-        load_run(run)
+        load(run)
     (run / "run.json").write_text("[1, 2")
     with pytest.raises(RunError, match="is not the JSON of a run"):
-        load_run(run)
+        load(run)
 
 
 def test_weights_of_another_architecture_are_refused(dataset, run):
     config = json.loads((run / "run.json").read_text())
     edit_config(run, settings=config["settings"] | {"width": 3})
     with pytest.raises(RunError, match="weights of another architecture"):
-        load_run(run)
+        load(run)
     with pytest.raises(RunError, match="weights of another architecture"):
         train(dataset, run, settings(width=3), resume=True)
 
@@ -299,11 +312,11 @@ def test_a_damaged_checkpoint_cannot_be_resumed(dataset, run):
         with pytest.raises(RunError, match=r"checkpoint.pt is damaged or no checkpoint"):
             train(dataset, run, settings(), resume=True)
     torch.save([1, 2], run / "checkpoint.pt")
-    with pytest.raises(RunError, match=r"is no checkpoint of schema version 1"):
+    with pytest.raises(RunError, match=r"is no checkpoint of schema version 2"):
         train(dataset, run, settings(), resume=True)
 
 
-@pytest.mark.parametrize("missing", ["network", "optimiser", "generator", "history"])
+@pytest.mark.parametrize("missing", ["network", "optimisation", "best", "position", "history", "window_rows"])
 def test_a_checkpoint_without_one_of_its_parts_cannot_be_resumed(dataset, run, missing):
     state = torch.load(run / "checkpoint.pt", weights_only=True)
     del state[missing]
@@ -315,10 +328,12 @@ def test_a_checkpoint_without_one_of_its_parts_cannot_be_resumed(dataset, run, m
 def foreign_states():
     other = torch.nn.Linear(2, 3)
     for optimiser in (torch.optim.Adam(other.parameters()), torch.optim.SGD(other.parameters(), lr=0.1)):
-        yield "optimiser", optimiser.state_dict()
-    yield "optimiser", [1, 2]
-    yield "generator", torch.zeros(3)
+        state = {"adam": optimiser.state_dict(), "scaler": {}, "average": None, "steps": 6}
+        yield "optimisation", state
+    yield "optimisation", [1, 2]
+    yield "position", {"batches": 0}
     yield "network", [1, 2]
+    yield "best", {}
     yield "history", [{"epoch": 1}]
     yield "history", []
 
@@ -335,9 +350,9 @@ def test_a_checkpoint_with_a_foreign_part_cannot_be_resumed(dataset, run, part, 
 def test_an_optimiser_state_of_other_weights_cannot_be_resumed(dataset, run, spoil):
     state = torch.load(run / "checkpoint.pt", weights_only=True)
     if spoil == "no moments":
-        state["optimiser"]["state"] = {}
+        state["optimisation"]["adam"]["state"] = {}
     else:
-        state["optimiser"]["state"][0]["exp_avg"] = torch.zeros(5)
+        state["optimisation"]["adam"]["state"][0]["exp_avg"] = torch.zeros(5)
     torch.save(state, run / "checkpoint.pt")
     with pytest.raises(RunError, match=r"checkpoint.pt does not hold the state of this training"):
         train(dataset, run, settings(max_epochs=3), resume=True)
@@ -376,7 +391,7 @@ def test_running_out_of_memory_names_what_to_make_smaller(dataset, tmp_path):
 
 def test_training_and_evaluation_end_to_end_beat_no_object(tmp_path):
     dataset = write_synthetic_dataset(tmp_path / "data", count=48)
-    learning = {"width": 6, "batch_size": 4, "max_epochs": 3, "learning_rate": 2e-3, "augmentations": "flip"}
+    learning = {"width": 6, "batch_size": 4, "max_epochs": 3, "learning_rate": 2e-3} | FLIP
     result = train(dataset, tmp_path / "run", settings(**learning))
     assert result.epochs == 3
     report = evaluate(tmp_path / "run", dataset, tmp_path / "report", device="cpu", progress=False)
@@ -389,9 +404,7 @@ def test_training_and_evaluation_end_to_end_beat_no_object(tmp_path):
     assert written["prediction"]["miou"]["mean"] == report.prediction.miou.mean
     assert written["paper"]["depth_mae_m"]["mean"] == 0.0521
     assert [scene["scene"] for scene in written["scenes"]] == dataset.ids("test")
-    assert {f.name for f in (tmp_path / "report" / "figures").iterdir()} == {
-        *("best.png", "median.png", "worst.png", "accuracy_histogram.png")
-    }
+    assert {f.name for f in (tmp_path / "report" / "figures").iterdir()} == FIGURES
     assert "no object" in report.table
     assert (tmp_path / "report" / "table.txt").read_text() == report.table + "\n"
 
@@ -438,14 +451,24 @@ def best_constant_loss(dataset, loss) -> float:
 
 
 @pytest.mark.parametrize(
-    "change", [{"loss": "depth"}, {"channels": "paper"}, {"channels": "residual"}, {"augmentations": "none"}]
+    "change",
+    [
+        {"loss_on": "depth"},
+        {"loss": "mse+iou"},
+        {"channels": "paper"},
+        {"channels": "residual"},
+        {"flip_rows": False},
+        {"frequencies_hz": (50e6,)},
+        {"precision": "bfloat16"},
+        {"ema_decay": 0.5, "clip_norm": 1.0, "schedule": "cosine", "warm_up_epochs": 1.0},
+    ],
 )
 def test_every_choice_learns_on_closed_form_scenes(dataset, tmp_path, change):
-    learning = {"width": 8, "batch_size": 2, "max_epochs": 10, "augmentations": "flip"}
+    learning = {"width": 8, "batch_size": 2, "max_epochs": 10} | FLIP
     train(dataset, tmp_path / "run", settings(**(learning | change)))
     with (tmp_path / "run" / "history.csv").open() as stream:
         losses = [float(line["train_loss"]) for line in csv.DictReader(stream)]
-    assert losses[-1] < best_constant_loss(dataset, NightLoss(Readout(20e6), settings(**change).loss))
+    assert losses[-1] < best_constant_loss(dataset, NightLoss(Readout(20e6), *loss_of(**change)))
 
 
 def test_evaluation_without_a_test_split_says_which_there_are(finished_run, tmp_path):
@@ -512,3 +535,40 @@ def test_settings_refuse_what_makes_no_sense():
     for change in ({"channels": "all"}, {"batch_size": 0}, {"learning_rate": -1.0}, {"device": "tpu"}):
         with pytest.raises(ValueError, match=next(iter(change))):
             settings(**change)
+
+
+def test_a_schedule_that_ends_with_the_run_cannot_be_made_longer(dataset, tmp_path):
+    ending = {"schedule": "cosine", "max_epochs": 1}
+    train(dataset, tmp_path / "run", settings(**ending))
+    with pytest.raises(RunError, match=r"max_epochs was 1 and is now 2 \(the learning rate's schedule"):
+        train(dataset, tmp_path / "run", settings(**ending | {"max_epochs": 2}), resume=True)
+
+
+def test_every_training_preset_is_one_that_settings_take_and_differs_from_its_base_by_its_own_keys():
+    folder = Path(__file__).parent.parent / "data" / "training"
+    paper = settings_from_dict(*training_preset("paper"))
+    for file in folder.glob("*.toml"):
+        preset = settings_from_dict(*training_preset(file.stem))
+        if file.stem.startswith("ablation-"):
+            own = {key for key in tomllib.loads(file.read_text()) if key != "extends"}
+            assert len(own) == 1, file
+            changed = {
+                f.name for f in fields(TrainSettings) if getattr(preset, f.name) != getattr(paper, f.name)
+            }
+            assert changed <= own, file
+
+
+def test_presets_that_extend_each_other_in_a_circle_are_refused(tmp_path):
+    for name, other in (("a", "b"), ("b", "a")):
+        (tmp_path / f"{name}.toml").write_text(f'extends = "{tmp_path / other}.toml"\n')
+    with pytest.raises(PresetError, match="a circle has no beginning"):
+        training_preset(str(tmp_path / "a.toml"))
+
+
+def test_a_network_sees_the_frequencies_it_was_asked_to_see_and_no_others(dataset, tmp_path):
+    train(dataset, tmp_path / "run", settings(frequencies_hz=(50e6,), max_epochs=1))
+    config = load(tmp_path / "run", "cpu").config
+    assert config.inputs.channel_count == 3 + 1  # A, Re / A, Im / A, and Im r
+    assert config.readout.frequency_hz == 20e6
+    with pytest.raises(TrainingError, match="30 MHz is not among 20, 50, 60 MHz"):
+        train(dataset, tmp_path / "other", settings(frequencies_hz=(30e6,)))

@@ -1,0 +1,137 @@
+"""The paper's ablations, and one of the channels: every row of the table trained and judged the same way.
+
+A row is the preset of that name in data/training without what it extends, laid over --preset. Runs that
+were interrupted go on, finished ones are only judged, so the table can be made in several sittings.
+
+    .venv/bin/python benchmarks/ablations.py mydata --out ablations --width 16 --max-epochs 30 --seeds 2
+"""
+
+import argparse
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+
+from model import (
+    Feed,
+    RowBlock,
+    Shards,
+    Summary,
+    TrainSettings,
+    image_metrics,
+    load,
+    no_object_metrics,
+    open_shards,
+    settings_from_dict,
+    summarise,
+    train,
+    training_preset,
+)
+from scenegen import open_dataset, read_settings
+
+BATCH = 16
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table: its preset, what it says, and the paper's MAE in cm and mIoU."""
+
+    preset: str | None
+    words: str
+    paper: str = ""
+
+
+ROWS = (
+    Row(None, "all of the below as in the base", "5.21 / 0.77"),
+    Row("ablation-20mhz", "20 MHz alone", "6.15 / 0.74"),
+    Row("ablation-50mhz", "50 MHz alone", "10.33 / 0.68"),
+    Row("ablation-60mhz", "60 MHz alone", "9.43 / 0.69"),
+    Row("ablation-mae", "loss: MAE", "5.83 / 0.76"),
+    Row("ablation-mse", "loss: MSE", "13.72 / 0.66"),
+    Row("ablation-mse-iou", "loss: MSE and IoU", "5.93 / 0.77"),
+    Row("ablation-mae-iou", "loss: MAE and IoU", "5.21 / 0.77"),
+    Row("ablation-components", "error of the components"),
+    Row("ablation-depth", "error of the depth"),
+    Row("ablation-paper-channels", "channels: the paper's seven", "5.21 / 0.77"),
+    Row("ablation-residual", "channels: hidden light alone"),
+    Row("ablation-paper-residual", "channels: both"),
+)
+
+
+def main() -> None:
+    """Train and judge what is not there yet, then print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
+    parser.add_argument("--preset", default="default", help="base of all rows, default: default")
+    parser.add_argument("--width", type=int, help="channels of the first level instead of the base's")
+    parser.add_argument("--max-epochs", type=int, help="instead of the base's")
+    parser.add_argument("--seeds", type=int, default=1, help="runs a row, default 1")
+    given = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    dataset = open_dataset(given.dataset)
+    shards = open_shards(dataset)
+    changes = {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
+    base = training_preset(given.preset)[0] | {key: value for key, value in changes.items() if value}
+    done: dict[TrainSettings, Path] = {}
+    results: dict[Row, list[Summary]] = {row: [] for row in ROWS}
+    for seed in range(given.seeds):
+        for row in ROWS:
+            settings = settings_from_dict(base | own_keys(row) | {"seed": seed}, str(row.preset))
+            out = given.out / f"{row.preset or 'base'}-{seed}"
+            if settings not in done:  # several rows name what the base does anyway
+                done[settings] = out
+                train(dataset, out, settings, resume=(out / "run.json").is_file())
+            results[row].append(judged(done[settings], shards))
+            print(line(row, results[row]), flush=True)
+    print_table(shards, results)
+
+
+def own_keys(row: Row) -> dict[str, object]:
+    """What the row's preset changes."""
+    keys = read_settings("training", row.preset)[0] if row.preset else {}
+    keys.pop("extends", None)
+    return keys
+
+
+def judged(run: Path, shards: Shards) -> Summary:
+    """Metrics of the test split."""
+    predictor = load(run)
+    places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
+    feed: Feed[RowBlock] = Feed(shards, shards.rows("test"), window_rows=0)
+    metrics = []
+    for block in feed.in_order(BATCH):
+        found = predictor.predict(block.complex_phasors()[..., places], shards.reference[..., places])
+        images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
+        metrics += [image_metrics(*image) for image in images]
+    return summarise(metrics)
+
+
+def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
+    """The table as Markdown, the empty prediction last."""
+    rows = shards.rows("test")
+    block = shards.read(rows)
+    pairs = zip(block.radial_depth_m, block.mask, strict=True)
+    nothing = summarise([no_object_metrics(*pair) for pair in pairs])
+    size = f"{shards.manifest.width} x {shards.manifest.height}"
+    print(f"\n{len(shards.rows('train'))} training and {len(rows)} test scenes, {size} pixels\n")
+    print("| | MAE cm | mIoU | paper: MAE cm / mIoU |\n|---|---|---|---|")
+    for row, summaries in results.items():
+        print(line(row, summaries))
+    print(line(Row(None, "no object at all"), [nothing]))
+
+
+def line(row: Row, summaries: list[Summary]) -> str:
+    """A row: the mean of its seeds, and in brackets each of them when there are several."""
+    cells = [row.words]
+    for values, digits in (
+        ([100 * s.depth_mae_m.mean for s in summaries], 2),
+        ([s.miou.mean for s in summaries], 3),
+    ):
+        every = ", ".join(f"{value:.{digits}f}" for value in values)
+        cells.append(f"{mean(values):.{digits}f}" + (f" ({every})" if len(values) > 1 else ""))
+    return "| " + " | ".join([*cells, row.paper]) + " |"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""What camera and relay wall a network was trained for: enough to compute the wall's direct return again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic.dataclasses import dataclass
+
+from itof import direct_phasors
+from scenegen import Dataset, camera_axes, wall_normal
+from scenegen.preset import STRICT, FieldOfView, Vector
+
+
+@dataclass(frozen=True, config=STRICT)
+class WallView:
+    """A co-located camera and projector before an infinite diffuse wall, in the world's axes.
+
+    Attributes
+    ----------
+    horizontal_fov_deg : full horizontal field of view, degrees; the pixels are square.
+    camera_axes : rows are the camera's right, down and forward in the world.
+    camera_location_m, wall_point_m : where the camera is, and any point of the wall, metres.
+    wall_normal : towards the room, unit length.
+    """
+
+    horizontal_fov_deg: FieldOfView
+    camera_axes: tuple[Vector, Vector, Vector]
+    camera_location_m: Vector
+    wall_point_m: Vector
+    wall_normal: Vector
+
+    def direct_phasors(
+        self, width: int, height: int, frequencies_hz: Sequence[float]
+    ) -> NDArray[np.complex128]:
+        """(H, W, F) direct return of the bare wall, as `itof.direct_phasors` has it."""
+        return direct_phasors(
+            width,
+            height,
+            self.horizontal_fov_deg,
+            frequencies_hz,
+            self.camera_axes,
+            self.camera_location_m,
+            self.wall_point_m,
+            self.wall_normal,
+        )
+
+
+def wall_view(dataset: Dataset) -> WallView:
+    """View of a dataset's relay wall; camera and wall are the same in every scene."""
+    scene = dataset.scene(dataset.ids()[0])
+    right, down, forward = (_vector(axis) for axis in camera_axes(scene.camera))
+    return WallView(
+        horizontal_fov_deg=scene.camera.horizontal_fov_deg,
+        camera_axes=(right, down, forward),
+        camera_location_m=scene.camera.location_m,
+        wall_point_m=scene.relay_wall.location_m,
+        wall_normal=_vector(wall_normal(scene.relay_wall)),
+    )
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    x, y, z = values.tolist()
+    return (x, y, z)

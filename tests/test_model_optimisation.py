@@ -1,0 +1,118 @@
+"""The learning rate's course, clipping, half floats and averaged weights against what they are by hand."""
+
+import math
+
+import pytest
+import torch
+
+from model import LossError, LossWatch, Optimisation, TrainSettings, UNet, learning_rate
+
+CPU = torch.device("cpu")
+
+
+def settings(**changes) -> TrainSettings:
+    return TrainSettings(**({"width": 2, "learning_rate": 1e-2, "max_epochs": 11} | changes))
+
+
+def network() -> UNet:
+    return UNet(1, 2, generator=torch.Generator().manual_seed(0))
+
+
+def loss_of(net: UNet) -> torch.Tensor:
+    images = torch.linspace(0, 1, 16 * 16).reshape(1, 1, 16, 16)
+    return net(images).square().mean()
+
+
+def flat(net: UNet) -> torch.Tensor:
+    return torch.cat([p.detach().flatten() for p in net.parameters()])
+
+
+def test_a_constant_rate_stays():
+    assert {learning_rate(settings(), epochs) for epochs in (0.1, 1, 11, 50)} == {1e-2}
+
+
+def test_the_rate_warms_up_linearly_and_falls_as_half_a_cosine():
+    both = settings(schedule="cosine", warm_up_epochs=1.0)
+    assert learning_rate(both, 0.25) == pytest.approx(0.25e-2)
+    assert learning_rate(both, 1) == pytest.approx(1e-2)
+    assert learning_rate(both, 6) == pytest.approx(0.5e-2)  # half way from 1 to 11
+    assert learning_rate(both, 1 + 10 / 3) == pytest.approx(0.75e-2)  # cos 60 degrees
+    assert learning_rate(both, 11) == pytest.approx(0, abs=1e-12)
+    assert learning_rate(both, 12) == pytest.approx(0, abs=1e-12)
+
+
+def test_the_first_step_of_adam_is_one_learning_rate_long_in_every_weight():
+    net = network()
+    before = flat(net)
+    optimisation = Optimisation(net, settings(schedule="cosine", warm_up_epochs=2.0), 5, CPU)
+    optimisation.step(loss_of(net))
+    moved = (flat(net) - before).abs()
+    # m / sqrt(v) is g / |g| after bias correction; eps matters where |g| is near 1e-8.
+    expected = 1e-2 / 10  # the first of ten warm-up steps
+    gradient = torch.cat([p.grad.flatten() for p in net.parameters()]).abs()
+    seen = gradient > 1e-5  # 1000 eps; weights behind dead units have none at all
+    assert int(seen.sum()) > 20
+    torch.testing.assert_close(moved[seen], torch.full_like(moved[seen], expected), rtol=2e-3, atol=0)
+    assert float(moved.max()) < expected * 1.002
+
+
+def test_a_gradient_that_is_too_long_is_scaled_to_the_limit_and_its_norm_is_kept():
+    net = network()
+    loss_of(net).backward()
+    gradient = torch.cat([p.grad.flatten() for p in net.parameters()])
+    norm = float(gradient.norm())
+    optimisation = Optimisation(net, settings(clip_norm=norm / 4), 5, CPU)
+    optimisation.step(loss_of(net))
+    clipped = torch.cat([p.grad.flatten() for p in net.parameters()])
+    assert float(optimisation.gradient_norm) == pytest.approx(norm, rel=1e-5)
+    torch.testing.assert_close(clipped, gradient / 4, rtol=1e-4, atol=1e-9)
+
+
+def test_the_average_of_the_weights_is_that_of_its_definition():
+    net = network()
+    optimisation = Optimisation(net, settings(ema_decay=0.75), 5, CPU)
+    expected = None
+    for _ in range(4):
+        optimisation.step(loss_of(net))
+        expected = flat(net) if expected is None else 0.75 * expected + 0.25 * flat(net)
+    assert optimisation.judged is not net
+    torch.testing.assert_close(flat(optimisation.judged), expected, rtol=1e-6, atol=1e-7)
+
+
+def test_without_an_average_the_network_itself_is_judged():
+    net = network()
+    assert Optimisation(net, settings(), 5, CPU).judged is net
+
+
+@pytest.mark.parametrize("precision", ["bfloat16", "float16"])
+def test_half_floats_leave_the_first_block_and_the_head_alone(precision):
+    net, seen = network(), {}
+    for name, module in (("first", net.encoder[0][0]), ("second", net.encoder[1][0]), ("head", net.head[0])):
+        module.register_forward_hook(lambda _, __, out, name=name: seen.update({name: out.dtype}))
+    images = torch.rand(1, 1, 16, 16, generator=torch.Generator().manual_seed(0))
+    number = getattr(torch, precision)
+    with torch.no_grad(), torch.autocast("cpu", number):
+        half = net(images)
+    assert seen == {"first": torch.float32, "second": number, "head": torch.float32}
+    with torch.no_grad():
+        exact = net(images)
+    # Some twenty roundings of half a unit in the last of 8 or 11 bits.
+    bits = {"bfloat16": 8, "float16": 11}[precision]
+    assert float((half - exact).norm() / exact.norm()) < 20 * 2.0 ** -(bits + 1)
+    assert not torch.equal(half, exact)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e5])
+def test_a_bad_loss_names_its_own_batch_though_it_is_looked_at_later(value):
+    watch = LossWatch(3, lambda rows: [f"scene {row}" for row in rows], every=3)
+    watch.add(torch.tensor(0.5), [0, 1])
+    watch.add(torch.tensor(value), [2, 3])
+    with pytest.raises(LossError, match=r"loss became .* in epoch 3, on scenes scene 2, scene 3"):
+        watch.add(torch.tensor(value), [4, 5])
+
+
+def test_good_losses_are_forgotten_once_they_were_looked_at():
+    watch = LossWatch(1, lambda rows: [], every=2)
+    for _ in range(4):
+        watch.add(torch.tensor(1.0), [0])
+    watch.look()
