@@ -8,12 +8,17 @@ were interrupted go on, finished ones are only judged, so the table can be made 
 
 import argparse
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 
+import numpy as np
+from numpy.typing import NDArray
+
 from model import (
     Feed,
+    Predictor,
     RowBlock,
     Shards,
     Summary,
@@ -82,7 +87,7 @@ def main() -> None:
             if settings not in done:  # several rows name what the base does anyway
                 done[settings] = out
                 train(dataset, out, settings, resume=(out / "run.json").is_file())
-            results[row].append(judged(done[settings], shards))
+            results[row].append(judged(load(done[settings]), shards, shards.rows("test")))
             print(line(row, results[row]), flush=True)
     print_table(shards, results)
 
@@ -94,14 +99,18 @@ def own_keys(row: Row) -> dict[str, object]:
     return keys
 
 
-def judged(run: Path, shards: Shards) -> Summary:
-    """Metrics of the test split."""
-    predictor = load(run)
+def judged(
+    predictor: Predictor,
+    shards: Shards,
+    rows: Sequence[int],
+    reference: NDArray[np.complexfloating] | None = None,
+) -> Summary:
+    """Metrics of some rows; `reference` (H, W, F) instead of the direct return of the run's own wall."""
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
-    feed: Feed[RowBlock] = Feed(shards, shards.rows("test"), window_rows=0)
+    feed: Feed[RowBlock] = Feed(shards, rows, window_rows=0)
     metrics = []
     for block in feed.in_order(BATCH):
-        found = predictor.predict(block.complex_phasors()[..., places], shards.reference[..., places])
+        found = predictor.predict(block.complex_phasors()[..., places], reference)
         images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
         metrics += [image_metrics(*image) for image in images]
     return summarise(metrics)

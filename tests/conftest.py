@@ -35,3 +35,14 @@ def variant():
 @pytest.fixture(scope="session")
 def paper():
     return load_preset("paper")
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """Images this small are slower on several threads, and much slower beside other work."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -9,13 +9,7 @@ from model import NightLoss, Readout, UNet
 FREQUENCY_HZ = 20e6
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    """Images this small are slower on several threads, and much slower beside other work."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def seeded(seed: int = 0) -> torch.Generator:
