@@ -343,8 +343,9 @@ def night_train(
 
     Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
 
+    \b
     torchrun --nproc-per-node 4 $(which night-train) DATASET --out RUN
-    """
+    """  # noqa: D301
     import model
 
     opened = scenegen.open_dataset(dataset)
@@ -354,6 +355,7 @@ def night_train(
     given = {name: value for name, value in options.items() if value is not None}
     if frequencies is not None:
         given["frequencies_hz"] = _hertz(frequencies)
+    model.settings_from_dict(given, "options")  # what is wrong with them is not the preset's fault
     settings = model.settings_from_dict(before | data | given, origin)
     result = model.train(opened, out, settings, resume=resume)
     if model.is_first_process():
@@ -391,13 +393,13 @@ class DefaultGroup(click.Group):
 @click.group(cls=DefaultGroup)
 @click.version_option(package_name="night-nlos")
 def night_eval() -> None:
-    r"""Judge the network of RUN against the ground truth of DATASET, or use it.
+    """Judge the network of RUN against the ground truth of DATASET, or use it.
 
     \b
     night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
     night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
     night-eval export RUN --out MODEL.onnx    the network as an ONNX file
-    """
+    """  # noqa: D301
 
 
 @night_eval.command(short_help="Compare with the ground truth; the word may be left out.")

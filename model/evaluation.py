@@ -64,7 +64,7 @@ class _Bench:
 
     def predict(self, block: RowBlock) -> Prediction:
         """What the network says of some rows, at the frequencies it was trained at."""
-        used = _frequency_places(self.predictor, self.shards)
+        used = self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
         prediction = self.predictor.predict(
             block.complex_phasors()[..., used], self.shards.reference[..., used]
         )
@@ -192,8 +192,8 @@ def _origin(bench: _Bench, run: Path) -> dict[str, Any]:
     """What was judged on what, as plain data."""
     manifest = bench.shards.manifest
     return {
-        "run": str(run),
-        "dataset": str(bench.dataset.root),
+        "run": str(run.resolve()),
+        "dataset": str(bench.dataset.root.resolve()),
         "data_sha256": manifest.data_sha256,
         "image_size": [manifest.width, manifest.height],
     }
@@ -233,12 +233,6 @@ def _refuse_other_images(predictor: Predictor, shards: Shards, run: Path, datase
             f"{run} was trained at {[f / 1e6 for f in trained.inputs.frequencies_hz]} MHz, {dataset.root} "
             f"holds {[f / 1e6 for f in given.frequencies_hz]} MHz: train again or make the dataset again"
         )
-
-
-def _frequency_places(predictor: Predictor, shards: Shards) -> list[int]:
-    """Where the run's frequencies stand among the dataset's."""
-    given = shards.manifest.frequencies_hz
-    return [given.index(frequency_hz) for frequency_hz in predictor.config.inputs.frequencies_hz]
 
 
 def _one(predictions: Prediction, index: int) -> Prediction:

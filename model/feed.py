@@ -96,6 +96,7 @@ def window_rows(
     row_count: int,
     memory_bytes: int | None = None,
     device: torch.device = torch.device("cpu"),  # noqa: B008  (immutable)
+    sharers: int = 1,
 ) -> int:
     """How many of `row_count` rows to hold at once: all, or what half of the memory takes.
 
@@ -105,17 +106,19 @@ def window_rows(
     ----------
     memory_bytes : that the rows may take; by default MEMORY_PART of the memory of machine or GPU.
     device : that they are held on.
+    sharers : processes that share the machine's memory.
     """
-    allowed = int(MEMORY_PART * memory_of(device)) if memory_bytes is None else memory_bytes
+    allowed = int(MEMORY_PART * memory_of(device, sharers)) if memory_bytes is None else memory_bytes
     row_bytes = shards.manifest.layout.row_bytes
     return row_count if row_count * row_bytes <= allowed else allowed // (2 * row_bytes)  # 2 windows
 
 
-def memory_of(device: torch.device) -> int:
-    """Bytes of memory of a GPU, or of the machine; on their way to a GPU rows take both."""
+def memory_of(device: torch.device, sharers: int = 1) -> int:
+    """Bytes of memory of a GPU, or a share of the machine's; on their way to a GPU rows take both."""
+    share = machine_bytes() // sharers
     if device.type == "cpu":
-        return machine_bytes()
-    return min(machine_bytes(), torch.cuda.get_device_properties(device).total_memory)
+        return share
+    return min(share, torch.cuda.get_device_properties(device).total_memory)
 
 
 def machine_bytes() -> int:

@@ -145,4 +145,4 @@ def _table(key: str, title: str, note: str, groups: tuple[Group, ...]) -> GroupT
 
 
 def _words(name: str) -> str:
-    return name.replace("_", " ")
+    return name if name.startswith("mesh:") else name.replace("_", " ")

@@ -12,6 +12,7 @@ complex. Nothing in these files is executed: pickled arrays are refused.
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -27,6 +28,13 @@ from itof import ImageFileError, read_image
 
 ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
 _SAME_FREQUENCY = 1e-6  # relative; turns the phase of 20 m optical path by 8e-6 rad at 20 MHz
+
+
+# RuntimeError: an encrypted archive or an unknown compression; TokenError: a damaged header.
+_NPZ_ERRORS = (
+    *(ValueError, OSError, EOFError, KeyError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+)
 
 
 class MeasurementError(ValueError):
@@ -87,13 +95,11 @@ def read_measurement(path: Path) -> Measurement:
     """
     readers = {".exr": _read_exr, ".npz": _read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5}
     reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise MeasurementError(
-            f"{path} has the ending {path.suffix or 'of no file type'!r}: measurements are read from "
-            f"{', '.join(readers)} files"
-        )
     if not path.is_file():
         raise MeasurementError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}")
+    if reader is None:
+        ending = f"the ending {path.suffix}" if path.suffix else "no ending"
+        raise MeasurementError(f"{path} has {ending}: measurements are read from {', '.join(readers)} files")
     return reader(path)
 
 
@@ -116,7 +122,7 @@ def _read_npz(path: Path) -> Measurement:
             archive = np.load(stream, allow_pickle=False)
             names = archive.files if isinstance(archive, np.lib.npyio.NpzFile) else None
             found = {name: archive[name] for name in ARRAYS if names and name in names}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+    except _NPZ_ERRORS as error:
         if "allow_pickle" in str(error):
             reason = "it holds pickled Python objects, which could run any program; save plain arrays"
         else:
@@ -145,7 +151,7 @@ def _measurement(path: Path, found: Mapping[str, NDArray[Any]], names: Sequence[
     """Check the arrays of a file that has `names`."""
     for name in ARRAYS[:2]:
         if name not in found:
-            there = ", ".join(sorted(names)) or "nothing"
+            there = ", ".join(sorted(map(str, names))) or "nothing"
             raise MeasurementError(f"{path} has no array {name}; it holds {there}")
     frequencies_hz = _frequencies(path, found["frequencies_hz"])
     phasors = found["phasors"]
@@ -160,6 +166,12 @@ def _measurement(path: Path, found: Mapping[str, NDArray[Any]], names: Sequence[
         if reference.shape != phasors.shape[1:]:
             raise MeasurementError(
                 f"{path}: reference of shape {reference.shape} does not fit images of {phasors.shape[1:]}"
+            )
+        dark = int(np.count_nonzero((reference == 0).any(axis=-1) & (phasors != 0).any(axis=(0, -1))))
+        if dark:
+            raise MeasurementError(
+                f"{path}: reference is 0 in {dark} pixels that have light in the measurement: capture the "
+                "empty corner with the same exposure"
             )
     return Measurement(path, phasors, frequencies_hz, reference, in_training_unit=False)
 

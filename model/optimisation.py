@@ -14,19 +14,22 @@ from model.settings import TrainSettings, number_type
 from model.unet import UNet
 
 
-def learning_rate(settings: TrainSettings, epochs: float) -> float:
-    """Learning rate of the step that ends `epochs` (a fraction counts) after the beginning.
+def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:
+    """Learning rate of a step, counted from 0.
 
-    It grows linearly from 0 through the warm-up; then it stays, or falls as half a cosine to 0 at
-    `max_epochs`.
+    It grows linearly through the warm-up, whose last step has the full rate; then it stays, or falls as half
+    a cosine that would be 0 in the step after the last of `max_epochs`.
 
     Source: Caligiuri et al. 2024, sec. 5.1 (constant); Loshchilov, Hutter, "SGDR", ICLR 2017, eq. 5.
     """
     warm_up = settings.warm_up_epochs
-    rate = settings.learning_rate * (min(1.0, epochs / warm_up) if warm_up else 1.0)
+    rate = settings.learning_rate
+    if warm_up:
+        rate *= min(1.0, (step + 1) / (warm_up * steps_per_epoch))
     if settings.schedule == "constant" or settings.max_epochs <= warm_up:
         return rate
-    done = min(1.0, max(0.0, (epochs - warm_up) / (settings.max_epochs - warm_up)))
+    done = (step / steps_per_epoch - warm_up) / (settings.max_epochs - warm_up)
+    done = min(1.0, max(0.0, done))
     return rate * (1 + cos(pi * done)) / 2  # the mean of 1 and the cosine, not a path length
 
 
@@ -62,7 +65,7 @@ class Optimisation:
 
     def step(self, loss: Tensor) -> None:
         """Change the weights against the gradient of `loss`."""
-        rate = learning_rate(self.settings, (self.steps + 1) / self.steps_per_epoch)
+        rate = learning_rate(self.settings, self.steps, self.steps_per_epoch)
         for group in self.adam.param_groups:
             group["lr"] = rate
         self.adam.zero_grad()

@@ -33,5 +33,5 @@ def write_point_cloud(path: Path, points_m: NDArray[np.float32]) -> None:
     """
     if not len(points_m):
         raise ValueError(f"{path} would hold no points")
-    with whole_file(path) as partial:
+    with whole_file(path, sweep=False) as partial:  # one of many in a new folder
         partial.write_bytes(trimesh.PointCloud(points_m).export(file_type="ply"))

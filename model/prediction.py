@@ -136,7 +136,9 @@ class Predictor:
         mean = amplitude(images[..., 0]).mean(axis=(1, 2), dtype=np.float64)  # (N,)
         if not (mean > 0).all():
             dark = int(np.flatnonzero(~(mean > 0))[0])
-            raise ValueError(f"image {dark} holds no light at the first frequency, so it cannot be rescaled")
+            raise ValueError(
+                f"image {dark} of {len(images)} holds no light at the first frequency: it cannot be rescaled"
+            )
         gain: NDArray[np.float64] = self.config.inputs.amplitude_scale / mean
         return gain[:, None, None, None]
 

@@ -180,7 +180,8 @@ def prediction_figure(title: str, one: Prediction) -> Figure:
     bar.locator = MaxNLocator(4)
     shown = int(np.count_nonzero(one.mask))
     said = f"{shown} of {width * height} pixels show an object" if shown else "no pixel shows an object"
-    figure.suptitle(f"{title}\n{said}", fontsize=11)
+    plain = title.replace("$", r"\$")  # a file's name is no formula
+    figure.suptitle(f"{plain}\n{said}", fontsize=11)
     return figure
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 import torch
 from torch import Tensor, distributed, nn
@@ -55,10 +56,17 @@ class Processes:
 
     def total(self, values: Tensor) -> Tensor:
         """Sum over all processes, float64."""
-        values = values.to(torch.float64)
+        values = values.to(torch.float64, copy=True)  # all_reduce works in place
         if self.count > 1:
             distributed.all_reduce(values)
         return values
+
+    def smallest(self, number: int) -> int:
+        """The smallest of the numbers that the processes have."""
+        smallest = torch.tensor(number, device=self.device)
+        if self.count > 1:
+            distributed.all_reduce(smallest, distributed.ReduceOp.MIN)
+        return int(smallest)
 
     def any(self, flag: bool) -> bool:
         """Whether the flag is set in any process."""
@@ -74,6 +82,11 @@ class Processes:
         yield
         if self.count > 1 and self.is_first:
             distributed.barrier()
+
+
+def processes_of_this_machine() -> int:
+    """How many processes of the run share this machine's memory."""
+    return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
 
 
 def is_first_process() -> bool:
@@ -99,7 +112,8 @@ def joined_processes(device_name: DeviceName) -> Iterator[Processes]:
     if device.type == "cuda":
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(device)
-    distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    # The others wait while the first one makes shards or writes a checkpoint.
+    distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=timedelta(hours=6))
     try:
         yield Processes(device, distributed.get_rank(), count)
     finally:

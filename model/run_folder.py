@@ -197,8 +197,8 @@ def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
         torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
 
 
-def load_checkpoint(folder: Path, device: torch.device) -> dict[str, Any] | None:
-    """Read ``checkpoint.pt``; None when no epoch was finished yet.
+def load_checkpoint(folder: Path) -> dict[str, Any] | None:
+    """Read ``checkpoint.pt`` into memory; None when there is none yet.
 
     Raises
     ------
@@ -210,8 +210,10 @@ def load_checkpoint(folder: Path, device: torch.device) -> dict[str, Any] | None
     try:
         with warnings.catch_warnings():  # torch warns of pickles that it then refuses
             warnings.simplefilter("ignore", UserWarning)
-            state = torch.load(file, map_location=device, weights_only=True)
-    except (RuntimeError, OSError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
+            state = torch.load(file, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
+    except (RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
         raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
     if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:
         raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: train again from the start")

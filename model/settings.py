@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import torch
@@ -107,7 +108,8 @@ class TrainSettings:
 def training_preset(name_or_file: str) -> tuple[dict[str, Any], str]:
     """Settings of a TOML file or of one in data/training, and its path.
 
-    A preset with the key ``extends`` begins with the settings of the preset it names.
+    A preset with the key ``extends`` begins with the settings of the preset it names, a file beside it or
+    one of data/training.
 
     Raises
     ------
@@ -122,6 +124,9 @@ def training_preset(name_or_file: str) -> tuple[dict[str, Any], str]:
             raise PresetError(f"{' extends '.join([*origins, origin])}: a circle has no beginning")
         origins.append(origin)
         name = data.pop("extends", None)
+        beside = Path(origin).parent / str(name)
+        if name is not None and beside.is_file():
+            name = beside
         layers.append(data)
     return {key: value for layer in reversed(layers) for key, value in layer.items()}, origins[0]
 
@@ -155,6 +160,8 @@ def number_type(precision: Precision, device: torch.device) -> torch.dtype:
     """What the convolutions of a training compute in; ``auto`` is what is fast on `device`."""
     if precision == "auto":
         able = torch.cpu.get_capabilities()
-        fast = device.type == "cuda" or able.get("avx512_bf16") or able.get("amx_bf16")
+        fast = able.get("avx512_bf16") or able.get("amx_bf16")
+        if device.type == "cuda":
+            fast = torch.cuda.is_bf16_supported(including_emulation=False)
         precision = "bfloat16" if fast else "float32"
     return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[precision]

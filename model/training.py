@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -24,7 +25,7 @@ from model.interruption import Interruption
 from model.loss_watch import LossError, LossWatch
 from model.metrics import mask_iou
 from model.optimisation import learning_rate
-from model.processes import Processes, joined_processes
+from model.processes import Processes, joined_processes, processes_of_this_machine
 from model.run_folder import (
     EpochRecord,
     RunConfig,
@@ -94,7 +95,8 @@ def train(
         before = read_config(out) if resume else None  # a wrong folder should not cost the making of shards
         with processes.first_one_first():
             shards = open_shards(dataset, progress=settings.progress and processes.is_first)
-        config = _configure(dataset, shards, settings)
+        _refuse_empty_splits(shards, dataset)
+        config = _configure(dataset, shards, settings, before)
         change = changed_setting(before, config) if before else None
         if change:
             raise RunError(
@@ -102,7 +104,7 @@ def train(
             )
         with _naming_memory(config):
             training = _Training(config, shards, processes, memory_bytes)
-            checkpoint = load_checkpoint(out, processes.device) if resume else None
+            checkpoint = load_checkpoint(out) if resume else None
             if checkpoint:
                 training.restore(checkpoint, out / "checkpoint.pt")
             if processes.is_first:
@@ -112,13 +114,24 @@ def train(
 
 def _refuse(dataset: Dataset, out: Path, resume: bool) -> None:
     if not resume and out.exists() and not _is_free(out):
-        hint = "resume it (--resume)" if (out / "run.json").is_file() else "it is not empty"
-        raise RunError(f"{out} exists already: {hint} or choose another folder")
+        if not out.is_dir():
+            raise RunError(f"{out} is a file: choose another folder for the run")
+        if (out / "run.json").is_file():
+            raise RunError(f"{out} exists already: resume it (--resume) or choose another folder")
+        raise RunError(f"{out} is not empty and holds no run: choose another folder")
     for split in ("train", "validation"):
         if not dataset.ids(split):
             raise TrainingError(
                 f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
                 "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
+            )
+
+
+def _refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:
+    for split in ("train", "validation"):
+        if not shards.rows(split):
+            raise TrainingError(
+                f"no {split} scene of {dataset.root} could be rendered: see night-render --status"
             )
 
 
@@ -143,10 +156,15 @@ def _naming_memory(config: RunConfig) -> Iterator[None]:
         ) from None
 
 
-def _configure(dataset: Dataset, shards: Shards, settings: TrainSettings) -> RunConfig:
-    manifest = shards.manifest
+def _configure(
+    dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None
+) -> RunConfig:
+    """What is trained; a resumed run keeps the constants of its channels, to the bit."""
+    manifest, rows = shards.manifest, shards.rows("train")
     try:
-        inputs = fit_input_spec(settings.channels, shards, shards.rows("train"), settings.frequencies_hz)
+        inputs = fit_input_spec(settings.channels, shards, rows, settings.frequencies_hz)
+        if before and before.data_sha256 == manifest.data_sha256:
+            inputs = before.inputs
     except ValueError as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
     return RunConfig(
@@ -183,8 +201,10 @@ class _Training:
 
     def _feed(self, split: Split, memory_bytes: int | None) -> Feed[TensorRows]:
         rows = self.shards.rows(split)
-        window = window_rows(self.shards, len(rows), memory_bytes, self.processes.device)
-        return Feed(self.shards, rows, window, self.maker.upload)
+        sharers = processes_of_this_machine()
+        window = window_rows(self.shards, len(rows), memory_bytes, self.processes.device, sharers)
+        # The order depends on it, so all processes must take the same.
+        return Feed(self.shards, rows, self.processes.smallest(window), self.maker.upload)
 
     @property
     def best(self) -> EpochRecord:
@@ -202,6 +222,9 @@ class _Training:
         if done >= max_epochs or self.out_of_patience():
             _log.info("%s is finished already, after %d epochs: nothing to do", out, done)
             return self.result()
+        if self.history and self.processes.is_first:  # a killed run may have left those of later epochs
+            save_weights(out, self.best_weights)
+            write_history(out, self.history)
         bar = tqdm(
             total=max_epochs * scenes,
             initial=min(done * scenes + self.batches_done * self.settings.batch_size, max_epochs * scenes),
@@ -213,10 +236,13 @@ class _Training:
             while len(self.history) < max_epochs and not self.out_of_patience():
                 bar.set_description(f"epoch {len(self.history) + 1}", refresh=False)
                 train_loss = self.train_epoch(out, bar, interruption)
-                record = self.validate(train_loss)
+                record = self.validate(train_loss, lambda: self.save_if_due(out, interruption))
+                self.refuse_bad_validation(record)
                 bar.set_postfix(train=f"{record.train_loss:.4f}", validation=f"{record.validation_loss:.4f}")
                 self.finish_epoch(record)
                 if is_first:
+                    if self.best is record:
+                        save_weights(out, self.best_weights)  # before the history that speaks of them
                     write_history(out, self.history)
                     self.report(log, record)
                 self.save_if_due(out, interruption)
@@ -270,7 +296,7 @@ class _Training:
             ) from None
 
     @torch.no_grad()
-    def validate(self, train_loss: float) -> EpochRecord:
+    def validate(self, train_loss: float, between_batches: Callable[[], None]) -> EpochRecord:
         """Mean loss and metrics of the validation scenes, without augmentation."""
         network = self.optimisation.judged.eval()
         feed = self.feeds["validation"]
@@ -286,15 +312,26 @@ class _Training:
             sums += self.processes.own(len(block)) * torch.stack(
                 [loss.double(), depth_error_m.double(), miou]
             )
+            between_batches()
         loss, depth_mae_m, miou = (self.processes.total(sums) / len(feed.rows)).tolist()
         return EpochRecord(
             epoch=len(self.history) + 1,
-            learning_rate=learning_rate(self.settings, len(self.history) + 1),
+            learning_rate=learning_rate(
+                self.settings, self.optimisation.steps - 1, self.optimisation.steps_per_epoch
+            ),
             train_loss=train_loss,
             validation_loss=loss,
             validation_mae_cm=100 * depth_mae_m,
             validation_miou=miou,
         )
+
+    def refuse_bad_validation(self, record: EpochRecord) -> None:
+        """`TrainingError` for a validation loss that is no number: no later one could be called better."""
+        if not math.isfinite(record.validation_loss):
+            raise TrainingError(
+                f"the validation loss became {record.validation_loss} in epoch {record.epoch}: try a smaller "
+                "learning rate or clip_norm; the run keeps its last checkpoint"
+            )
 
     def finish_epoch(self, record: EpochRecord) -> None:
         """Add an epoch to the history and begin the next one."""
@@ -329,6 +366,11 @@ class _Training:
         self.saved_at = time.monotonic()
         if not self.processes.is_first:
             return
+        if not all(bool(weight.isfinite().all()) for weight in self.step.network.parameters()):
+            raise TrainingError(
+                f"the weights stopped being numbers in epoch {len(self.history) + 1}: try a smaller learning "
+                "rate or clip_norm; the run keeps its last checkpoint"
+            )
         if self.best_weights:
             save_weights(out, self.best_weights)
         write_history(out, self.history)

@@ -18,19 +18,21 @@ _PARTIAL = re.compile(r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<pid>\d+)(\.old)?\.part
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, *, sweep: bool = True) -> Iterator[Path]:
     """Yield a temporary name beside `path`; on success the file written there becomes `path`.
 
     The bytes are on disk (fsync) before the rename, so neither a killed process nor a power cut leaves
     half a file under the final name. On an error the temporary file is removed; what a killed process
-    left is removed by the next one that writes `path`.
+    left is removed by the next one that writes `path`, unless `sweep` is off: looking for it reads the whole
+    parent folder, which is needless for thousands of files inside a `whole_folder`.
 
     Raises
     ------
     OSError : the folder cannot be made, or the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(path.parent, path.name)
+    if sweep:
+        remove_leftovers(path.parent, path.name)
     partial = _partial_name(path)
     try:
         yield partial

@@ -28,17 +28,23 @@ def flat(net: UNet) -> torch.Tensor:
 
 
 def test_a_constant_rate_stays():
-    assert {learning_rate(settings(), epochs) for epochs in (0.1, 1, 11, 50)} == {1e-2}
+    assert {learning_rate(settings(), step, 4) for step in (0, 1, 43, 500)} == {1e-2}
 
 
 def test_the_rate_warms_up_linearly_and_falls_as_half_a_cosine():
     both = settings(schedule="cosine", warm_up_epochs=1.0)
-    assert learning_rate(both, 0.25) == pytest.approx(0.25e-2)
-    assert learning_rate(both, 1) == pytest.approx(1e-2)
-    assert learning_rate(both, 6) == pytest.approx(0.5e-2)  # half way from 1 to 11
-    assert learning_rate(both, 1 + 10 / 3) == pytest.approx(0.75e-2)  # cos 60 degrees
-    assert learning_rate(both, 11) == pytest.approx(0, abs=1e-12)
-    assert learning_rate(both, 12) == pytest.approx(0, abs=1e-12)
+    rates = [learning_rate(both, step, 12) for step in range(12 * 11 + 1)]  # twelve steps an epoch
+    assert rates[:12] == pytest.approx([1e-2 * (step + 1) / 12 for step in range(12)])
+    assert rates[12] == pytest.approx(1e-2)
+    assert rates[12 * 6] == pytest.approx(0.5e-2)  # half way from 1 to 11
+    assert rates[12 + 40] == pytest.approx(0.75e-2)  # a third of it: cos 60 degrees
+    assert rates[-2] > 0  # the last step
+    assert rates[-1] == pytest.approx(0, abs=1e-12)
+    assert learning_rate(both, 10_000, 12) == pytest.approx(0, abs=1e-12)
+
+
+def test_a_run_of_a_single_step_learns():
+    assert learning_rate(settings(schedule="cosine", max_epochs=1), 0, 1) == pytest.approx(1e-2)
 
 
 def test_the_first_step_of_adam_is_one_learning_rate_long_in_every_weight():

@@ -6,6 +6,7 @@ import os
 import pickle
 import shutil
 import sys
+import zipfile
 from dataclasses import replace
 
 import h5py
@@ -174,7 +175,7 @@ def test_phasors_that_are_none_are_refused(predictor, phasors):
     with pytest.raises(ValueError, match="the reference holds NaN"):
         predictor.predict(phasors, predictor.reference * np.nan)
     dark = np.stack([phasors[0], 0 * phasors[0]])
-    with pytest.raises(ValueError, match="image 1 holds no light"):
+    with pytest.raises(ValueError, match="image 1 of 2 holds no light"):
         predictor.predict(dark, rescale=True)
 
 
@@ -349,11 +350,23 @@ def with_nan(phasors):
     return spoilt
 
 
+def damaged_header(path, phasors):
+    """An archive whose array's header lost its brace."""
+    write_npz(path, phasors=phasors)
+    with zipfile.ZipFile(path) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    contents["phasors.npy"] = contents["phasors.npy"].replace(b"}", b"(", 1)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in contents.items():
+            archive.writestr(name, content)
+
+
 NPZ_REFUSALS = {
     "one bare array": bare_array,
     "pickled Python objects": pickled_array,
     "pickled Python objects, which could run": pickle_file,
     "damaged or no .npz archive": truncated,
+    "damaged or no .npz archive (": damaged_header,
     "no array phasors; it holds frequencies_hz, phase": lambda p, z: write_npz(p, phase=z),
     "no array frequencies_hz; it holds phasors": lambda p, z: write_npz(p, phasors=z, frequencies_hz=None),
     "must be complex, Re + j Im, got float32": lambda p, z: write_npz(p, phasors=z.real),
@@ -378,7 +391,8 @@ NPZ_REFUSALS = {
     ),
     "reference of shape (13, 24, 3) does not fit": lambda p, z: write_npz(p, phasors=z, reference=z[0, 1:]),
     "reference holds 1008 values that are NaN": lambda p, z: write_npz(p, phasors=z, reference=z[0] * np.nan),
-    "image 0 holds no light": lambda p, z: write_npz(p, phasors=0 * z),
+    "reference is 0 in 336 pixels that have light": lambda p, z: write_npz(p, phasors=z, reference=0 * z[0]),
+    "holds no light at the first frequency": lambda p, z: write_npz(p, phasors=0 * z),
 }
 
 
@@ -422,7 +436,7 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(run, exr, ph
         ("half.exr", "damaged or no EXR"),
         ("truth.exr", "holds 20 MHz, the network also needs 50, 60 MHz"),
         ("photo.exr", "holds no phasors"),
-        ("m.png", "has the ending '.png': measurements are read from .exr, .npz, .h5, .hdf5 files"),
+        ("m.png", "has the ending .png: measurements are read from .exr, .npz, .h5, .hdf5 files"),
     ):
         message = refusal("predict", run, tmp_path / name, "--out", tmp_path / "out")
         assert words in message, message

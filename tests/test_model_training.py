@@ -3,7 +3,9 @@
 import csv
 import json
 import logging
+import os
 import shutil
+import signal
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -35,7 +37,7 @@ from model import (
     train,
     training_preset,
 )
-from scenegen import PresetError
+from scenegen import FailureRecord, PresetError, write_failure
 from scenegen.whole_files import HOST
 
 FLIP = {"flip_columns": False, "rotation_deg": 0.0, "translation": 0.0}
@@ -164,6 +166,36 @@ def test_an_interrupted_epoch_is_begun_again(dataset, tmp_path):
     assert (run / "best.safetensors").read_bytes() == (tmp_path / "whole" / "best.safetensors").read_bytes()
 
 
+def test_a_training_that_is_asked_to_stop_while_it_validates_goes_on_there(dataset, tmp_path):
+    whole = train(dataset, tmp_path / "whole", settings())
+    run, asked = tmp_path / "run", False
+
+    def ask(module: torch.nn.Module, *_: object) -> None:
+        nonlocal asked
+        if not module.training and (run / "history.csv").exists() and not asked:
+            asked = True
+            os.kill(os.getpid(), signal.SIGINT)
+
+    handle = torch.nn.modules.module.register_module_forward_pre_hook(ask)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            train(dataset, run, settings(checkpoint_minutes=10))
+    finally:
+        handle.remove()
+    assert len(torch.load(run / "checkpoint.pt", weights_only=True)["history"]) == 1
+    assert train(dataset, run, settings(), resume=True) == whole
+    assert (run / "history.csv").read_text() == (tmp_path / "whole" / "history.csv").read_text()
+    assert (run / "best.safetensors").read_bytes() == (tmp_path / "whole" / "best.safetensors").read_bytes()
+
+
+def test_weights_of_a_later_epoch_than_the_checkpoints_are_taken_back(dataset, run, tmp_path):
+    three = train(dataset, tmp_path / "whole", settings(max_epochs=3))
+    shutil.copy(tmp_path / "whole" / "best.safetensors", run / "best.safetensors")
+    shutil.copy(tmp_path / "whole" / "history.csv", run / "history.csv")
+    assert train(dataset, run, settings(max_epochs=3), resume=True) == three
+    assert (run / "best.safetensors").read_bytes() == (tmp_path / "whole" / "best.safetensors").read_bytes()
+
+
 def test_the_seed_decides_the_weights(dataset, finished_run, tmp_path):
     train(dataset, tmp_path / "same", settings())
     train(dataset, tmp_path / "other", settings(seed=1))
@@ -209,8 +241,10 @@ def test_a_folder_in_use_is_not_overwritten(dataset, run, tmp_path):
         train(dataset, run, settings())
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "thesis.txt").write_text("years of work")
-    with pytest.raises(RunError, match="it is not empty"):
+    with pytest.raises(RunError, match="is not empty and holds no run: choose another folder"):
         train(dataset, tmp_path / "notes", settings())
+    with pytest.raises(RunError, match=r"thesis.txt is a file"):
+        train(dataset, tmp_path / "notes" / "thesis.txt", settings())
     with pytest.raises(RunError, match="is no training run"):
         train(dataset, tmp_path / "notes", settings(), resume=True)
     assert (tmp_path / "notes" / "thesis.txt").read_text() == "years of work"
@@ -227,6 +261,25 @@ def test_a_loss_that_is_no_number_names_epoch_and_scenes(dataset, tmp_path):
     # A learning rate of 1e30 throws the weights so far that float32 overflows in the next step.
     with pytest.raises(TrainingError, match=r"loss became (nan|inf) in epoch \d+, on scenes 0000"):
         train(dataset, tmp_path / "run", settings(learning_rate=1e30))
+
+
+@pytest.mark.parametrize("minutes", [0.0, 10.0])
+def test_weights_that_are_no_numbers_are_never_written(dataset, tmp_path, minutes):
+    bad = settings(learning_rate=1e30, batch_size=64, max_epochs=1, checkpoint_minutes=minutes)
+    with pytest.raises(TrainingError, match=r"(validation loss became|weights stopped being numbers)"):
+        train(dataset, tmp_path / "run", bad)
+    assert not (tmp_path / "run" / "best.safetensors").exists()
+    if (tmp_path / "run" / "checkpoint.pt").exists():  # weights of 1e30 are numbers, what they make is none
+        state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
+        assert all(weight.isfinite().all() for weight in state["network"].values())
+
+
+def test_a_split_whose_scenes_all_failed_to_render_is_named(tmp_path):
+    dataset = write_synthetic_dataset(tmp_path / "data", count=8)
+    for scene in dataset.ids("validation"):
+        write_failure(dataset.render_folder(scene), FailureRecord(recipe="", attempts=2, reason="broken"), "")
+    with pytest.raises(TrainingError, match=r"no validation scene of .* could be rendered"):
+        train(dataset, tmp_path / "run", settings())
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without CUDA")
@@ -454,6 +507,7 @@ def best_constant_loss(dataset, loss) -> float:
         {"flip_rows": False},
         {"frequencies_hz": (50e6,)},
         {"precision": "bfloat16"},
+        {"precision": "float16"},
         {"ema_decay": 0.5, "clip_norm": 1.0, "schedule": "cosine", "warm_up_epochs": 1.0},
     ],
 )
@@ -550,6 +604,14 @@ def test_every_training_preset_is_one_that_settings_take_and_differs_from_its_ba
                 f.name for f in fields(TrainSettings) if getattr(preset, f.name) != getattr(paper, f.name)
             }
             assert changed <= own, file
+
+
+def test_a_preset_extends_one_beside_it(tmp_path):
+    (tmp_path / "base.toml").write_text('width = 5\nloss = "mse"\n')
+    (tmp_path / "mine.toml").write_text('extends = "base.toml"\nwidth = 6\n')
+    data, origin = training_preset(str(tmp_path / "mine.toml"))
+    assert data == {"width": 6, "loss": "mse"}
+    assert origin.endswith("mine.toml")
 
 
 def test_presets_that_extend_each_other_in_a_circle_are_refused(tmp_path):
