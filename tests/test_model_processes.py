@@ -1,6 +1,7 @@
 """Training in several processes, and training that is asked to stop: real processes, real signals."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -133,3 +134,12 @@ def test_two_processes_stop_together_and_go_on(script, dataset, tmp_path):
     assert 0 < done < 400, errors_of(run).read_text()
     run_to_the_end(script, dataset, run, processes=2, resume=True, **changes | {"max_epochs": done + 1})
     assert len(checkpoint(run)["history"]) == done + 1
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler (Debian: g++)")
+def test_a_compiled_network_trains_as_the_plain_one(script, dataset, tmp_path):
+    for compiled in (False, True):
+        run_to_the_end(script, dataset, tmp_path / str(compiled), max_epochs=1, compile=compiled)
+    plain, fast = (checkpoint(tmp_path / str(compiled))["network"] for compiled in (False, True))
+    for name, weight in plain.items():
+        torch.testing.assert_close(fast[name], weight, rtol=1e-3, atol=1e-5, msg=name)
