@@ -469,8 +469,8 @@ def export(run: Path, out: Path) -> None:
 
     check = model.onnx_export.export_onnx(run, out)
     click.echo(
-        f"{out}: differs from PyTorch by at most {check.largest_difference:.2g} "
-        f"({check.tolerance:.2g} is rounding)"
+        f"{out}: differs from PyTorch by at most {check.largest_difference:.2g} where outputs reach "
+        f"{check.largest_output:.2g} ({check.tolerance:.2g} is rounding)"
     )
 
 

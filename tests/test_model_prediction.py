@@ -575,7 +575,8 @@ def test_the_onnx_file_computes_what_torch_computes(run, predictor, phasors, tmp
             expected = predictor.network(torch.from_numpy(channels[:count])).numpy()
         np.testing.assert_allclose(components, expected, atol=check.tolerance)
     # A float32 network of 22 layers errs by some roundings of outputs near 1, not by what an object is.
-    assert check.largest_difference <= check.tolerance < 1e-3
+    assert check.largest_difference <= check.tolerance < 1e-4 * max(check.largest_output, 1)
+    assert check.largest_output > 1e-3  # dead units throughout would compare nothing
 
 
 def test_an_export_that_computes_something_else_is_refused(run, tmp_path, monkeypatch):
