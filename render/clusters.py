@@ -39,6 +39,9 @@ _CONFIG = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.profile.enabled": False,
 }
+# A local worker that is gone is started again by its nanny. Dask would close the nanny when that takes longer
+# than 15 s, as on a busy machine, and then nobody starts it any more.
+_LOCAL_CONFIG = {"distributed.deploy.lost-worker-timeout": "1 day"}
 _CONNECT_S = 10
 _ANY_LOCAL_PORT = "127.0.0.1:0"  # for the diagnostics page, whose usual port may be taken
 
@@ -70,7 +73,8 @@ def connected(
     from distributed import Client
 
     _quieten()
-    with dask.config.set(_CONFIG), ExitStack() as stack:
+    is_local = not (scheduler or cluster_file)
+    with dask.config.set(_CONFIG | (_LOCAL_CONFIG if is_local else {})), ExitStack() as stack:
         _leave_ctrl_c_to_us(stack)
         if scheduler:
             try:

@@ -197,6 +197,19 @@ def kill_worker_at(process, claim):
     worker.wait(30)
 
 
+def test_a_worker_that_is_slow_to_come_back_is_waited_for(data):
+    process = start_render(data)
+    kill_worker_at(process, data / "renders" / ".claims" / "000002")
+    wait_for(lambda: workers_of(process))
+    (fresh,) = workers_of(process)
+    fresh.suspend()
+    time.sleep(20)  # Dask would give it up after 15
+    fresh.resume()
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert output.startswith("7 scenes rendered, 0 were there")
+
+
 def test_a_worker_killed_in_a_scene_costs_one_retry_of_that_scene(data, undisturbed):
     process = start_render(data)
     kill_worker_at(process, data / "renders" / ".claims" / "000002")
