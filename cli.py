@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import math
 import os
 import re
 import signal
@@ -417,14 +416,11 @@ def night_eval() -> None:
 @DEVICE
 @click.version_option(package_name="night-nlos")
 @refusing
-def judge(run: Path, dataset: Path, out: Path, mask_threshold: float | None, **options: Any) -> None:
+def judge(run: Path, dataset: Path, out: Path, **options: Any) -> None:
     """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
     import model
 
-    if mask_threshold is not None and not math.isfinite(mask_threshold):  # click takes nan for a float
-        raise click.BadParameter(f"{mask_threshold} is no amplitude", param_hint="--mask-threshold")
-    given = options if mask_threshold is None else options | {"mask_threshold": mask_threshold}
-    report = model.evaluate(run, scenegen.open_dataset(dataset), out, **given)
+    report = model.evaluate(run, scenegen.open_dataset(dataset), out, **options)
     click.echo(report.table)
     click.echo(f"look at {out / 'index.html'}; figures and point clouds are beside it")
 
@@ -448,9 +444,9 @@ def predict(run: Path, measurement: Path, out: Path, rescale: bool | None, devic
     `frequencies_hz` (F) and, if there is one, `reference` (H, W, F): a capture of the empty corner. Each
     image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY point cloud.
     """
-    import model.prediction_files
+    import model
 
-    images = model.prediction_files.predict_file(run, measurement, out, rescale=rescale, device=device)
+    images = model.predict_file(run, measurement, out, rescale=rescale, device=device)
     for image in images:
         click.echo(image.sentence)
     click.echo(f"depth maps, pictures and point clouds in {out}")
@@ -465,9 +461,9 @@ def export(run: Path, out: Path) -> None:
 
     Input `channels` (N, C, H, W), output `components` (N, 2, H, W); the run's settings are in the metadata.
     """
-    import model.onnx_export
+    import model
 
-    check = model.onnx_export.export_onnx(run, out)
+    check = model.export_onnx(run, out)
     click.echo(
         f"{out}: differs from PyTorch by at most {check.largest_difference:.2g} where outputs reach "
         f"{check.largest_output:.2g} ({check.tolerance:.2g} is rounding)"

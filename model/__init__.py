@@ -47,7 +47,8 @@ from model.settings import (
     training_preset,
 )
 from model.shards import ShardManifest, Shards, open_shards
-from model.training import TrainingError, TrainingResult, train
+from model.training import TrainingResult, train
+from model.training_refusals import TrainingError
 from model.training_step import TrainingStep
 from model.unet import UNet
 from model.wall_view import WallView, wall_view

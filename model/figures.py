@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from model.metrics import ImageMetrics
+from model.prediction import Prediction
 from scenegen import whole_file
 
 BACKGROUND = "0.88"  # grey of pixels without object in a depth map
@@ -41,7 +42,7 @@ def comparison_figure(title: str, truth: DepthView, prediction: DepthView, metri
     figure = Figure(figsize=(10.5, 1.2 + 2 * 3.0 * height / width), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
-    near_m, far_m = _depth_range(truth, prediction)
+    near_m, far_m = depth_range(truth, prediction)
     for row, (name, view) in enumerate((("ground truth", truth), ("prediction", prediction))):
         components = [
             axes[row, column].imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
@@ -71,9 +72,9 @@ def write_figure(path: Path, figure: Figure) -> None:
         figure.savefig(partial, format="png", dpi=DOTS_PER_INCH)
 
 
-def _depth_range(truth: DepthView, prediction: DepthView) -> tuple[float, float]:
-    """Colour range of depth, metres: the true object's, or the predicted one's where there is none."""
-    for view in (truth, prediction):
+def depth_range(*views: DepthView | Prediction) -> tuple[float, float]:
+    """Colour range of depth, metres: of the object in the first view that shows one."""
+    for view in views:
         if view.mask.any():
             depths_m = view.radial_depth_m[view.mask]
             near_m, far_m = float(depths_m.min()), float(depths_m.max())

@@ -168,7 +168,7 @@ def read_output(
     return readout.radial_depth_m(output).cpu().numpy(), readout.mask(output).cpu().numpy() > 0, phasor
 
 
-def load(folder: Path, device: DeviceName = "auto") -> Predictor:
+def load(run: str | Path, device: DeviceName = "auto") -> Predictor:
     """A trained network, from its run folder, with the weights of its best epoch.
 
     Raises
@@ -176,6 +176,7 @@ def load(folder: Path, device: DeviceName = "auto") -> Predictor:
     RunError : no run, damaged, of another schema or another architecture.
     DeviceError : a device that is not there.
     """
+    folder = Path(run)
     config = read_config(folder)
     chosen = choose_device(device)
     network = config.network()

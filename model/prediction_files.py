@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from itof import phasor_channels, write_image
-from model.figures import BACKGROUND, LEAST_DEPTH_SPAN_M, write_figure
+from model.figures import BACKGROUND, depth_range, write_figure
 from model.measurement_files import Measurement, MeasurementError, read_measurement
 from model.pointclouds import object_points, write_point_cloud
 from model.prediction import BATCH, Prediction, Predictor, load
@@ -162,7 +162,7 @@ def prediction_figure(title: str, one: Prediction) -> Figure:
     figure = Figure(figsize=(10.5, 1.6 + 3.0 * height / width), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, 3)
-    near_m, far_m = _depth_range(one)
+    near_m, far_m = depth_range(one)
     component = None
     for axes, part in zip(panels, (one.phasor.real, one.phasor.imag), strict=False):
         component = axes.imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
@@ -195,16 +195,6 @@ def _outline(axes: Axes, mask: NDArray[np.bool_]) -> None:
     height, width = mask.shape
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
-
-
-def _depth_range(one: Prediction) -> tuple[float, float]:
-    """Colour range of depth, metres: that of the object, and not too small a span."""
-    if not one.mask.any():
-        return 0.0, 1.0
-    depths_m = one.radial_depth_m[one.mask]
-    near_m, far_m = float(depths_m.min()), float(depths_m.max())
-    margin_m = max(0.0, (LEAST_DEPTH_SPAN_M - (far_m - near_m)) / 2)  # at each end
-    return near_m - margin_m, far_m + margin_m
 
 
 def _refuse_other_size(predictor: Predictor, measured: Measurement, run: Path) -> None:

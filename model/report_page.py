@@ -18,12 +18,11 @@ from plotly.offline import get_plotlyjs
 from model.calibration import Calibration
 from model.charts import calibration_curves, distributions, inline_svg, training_curves
 from model.figures import write_figure
-from model.history import read_history
 from model.report_files import GROUP_HEAD, group_texts
 from model.report_html import Section, grid, note, settings, table, tile
 from model.report_scenes import cloud_data, pictures, point_clouds
 from model.results import PAPER, Report
-from model.run_folder import RunConfig
+from model.run_folder import RunConfig, read_history
 from model.showcase import Cloud, ShownScene, cloud_of
 from scenegen import data_folder, write_text
 

@@ -230,3 +230,21 @@ def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
         table = csv.writer(stream)
         table.writerow(names)
         table.writerows([getattr(record, name) for name in names] for record in history)
+
+
+def read_history(run: Path) -> dict[str, list[float]]:
+    """Columns of a run's ``history.csv``, whichever it has; nothing where there is no such file.
+
+    Raises
+    ------
+    RunError : a damaged file.
+    """
+    file = run / "history.csv"
+    try:
+        with file.open(encoding="utf-8", newline="") as stream:
+            lines = list(csv.DictReader(stream))
+        return {name: [float(line[name]) for line in lines] for name in (lines[0] if lines else ())}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        raise RunError(f"{file} cannot be read: {error}") from None

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -42,15 +41,12 @@ from model.run_folder import (
 from model.settings import TrainSettings
 from model.shards import Shards, open_shards
 from model.training_log import TrainingLog
+from model.training_refusals import TrainingError, naming_memory, refuse_empty_splits, refuse_start
 from model.training_step import TrainingStep
 from model.wall_view import wall_view
-from scenegen import Dataset, Split, is_partial
+from scenegen import Dataset, Split
 
 _log = logging.getLogger(__name__)
-
-
-class TrainingError(ValueError):
-    """A dataset that cannot be trained on, or a loss that is not a number."""
 
 
 @dataclass(frozen=True)
@@ -91,18 +87,18 @@ def train(
     DeviceError, ShardError, ImageFileError : no such device; renders that are missing or unusable.
     """
     with joined_processes(settings.device) as processes:
-        _refuse(dataset, out, resume)
+        refuse_start(dataset, out, resume)
         before = read_config(out) if resume else None  # a wrong folder should not cost the making of shards
         with processes.first_one_first():
             shards = open_shards(dataset, progress=settings.progress and processes.is_first)
-        _refuse_empty_splits(shards, dataset)
+        refuse_empty_splits(shards, dataset)
         config = _configure(dataset, shards, settings, before)
         change = changed_setting(before, config) if before else None
         if change:
             raise RunError(
                 f"{out} cannot be resumed: {change}; use the run's own settings or start a new run"
             )
-        with _naming_memory(config):
+        with naming_memory(config):
             training = _Training(config, shards, processes, memory_bytes)
             checkpoint = load_checkpoint(out) if resume else None
             if checkpoint:
@@ -112,59 +108,17 @@ def train(
             return training.run(out)
 
 
-def _refuse(dataset: Dataset, out: Path, resume: bool) -> None:
-    if not resume and out.exists() and not _is_free(out):
-        if not out.is_dir():
-            raise RunError(f"{out} is a file: choose another folder for the run")
-        if (out / "run.json").is_file():
-            raise RunError(f"{out} exists already: resume it (--resume) or choose another folder")
-        raise RunError(f"{out} is not empty and holds no run: choose another folder")
-    for split in ("train", "validation"):
-        if not dataset.ids(split):
-            raise TrainingError(
-                f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
-                "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
-            )
-
-
-def _refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:
-    for split in ("train", "validation"):
-        if not shards.rows(split):
-            raise TrainingError(
-                f"no {split} scene of {dataset.root} could be rendered: see night-render --status"
-            )
-
-
-def _is_free(out: Path) -> bool:
-    """Whether a new run may be written to `out`: an empty folder, but for what a killed process left."""
-    return out.is_dir() and all(is_partial(entry.name) for entry in out.iterdir())
-
-
-@contextmanager
-def _naming_memory(config: RunConfig) -> Iterator[None]:
-    """Turn PyTorch's and numpy's ways to run out of memory into one sentence."""
-    try:
-        yield
-    except (RuntimeError, MemoryError) as error:
-        # On the CPU, PyTorch has no exception of its own for this.
-        ours = isinstance(error, torch.OutOfMemoryError | MemoryError) or "alloc_cpu.cpp" in str(error)
-        if not ours:
-            raise
-        raise TrainingError(
-            f"out of memory with batch size {config.settings.batch_size} and width {config.settings.width} "
-            f"at {config.image_width}x{config.image_height} pixels: make the batch or the width smaller"
-        ) from None
-
-
 def _configure(
     dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None
 ) -> RunConfig:
     """What is trained; a resumed run keeps the constants of its channels, to the bit."""
-    manifest, rows = shards.manifest, shards.rows("train")
+    manifest = shards.manifest
     try:
-        inputs = fit_input_spec(settings.channels, shards, rows, settings.frequencies_hz)
-        if before and before.data_sha256 == manifest.data_sha256:
-            inputs = before.inputs
+        inputs = (
+            before.inputs
+            if before
+            else fit_input_spec(settings.channels, shards, shards.rows("train"), settings.frequencies_hz)
+        )
     except ValueError as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
     return RunConfig(

@@ -536,7 +536,7 @@ def test_night_eval_judges_where_no_other_command_is_named(run, dataset, tmp_pat
     for words, message in (
         ([run], "Missing argument 'DATASET'"),
         ([run, dataset.root, "--out", report, "--mask-threshold", "0"], "not in the range x>0"),
-        ([run, dataset.root, "--out", report, "--mask-threshold", "nan"], "nan is no amplitude"),
+        ([run, dataset.root, "--out", report, "--mask-threshold", "nan"], "an amplitude above 0, got nan"),
     ):
         result = CliRunner().invoke(cli.night_eval, [str(word) for word in words])
         assert result.exit_code == 2

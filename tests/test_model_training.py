@@ -304,7 +304,7 @@ def test_a_run_folder_holds_what_it_promises(dataset, finished_run):
 
 def test_predictions_of_one_image_and_of_many_agree(dataset, finished_run):
     shards = open_shards(dataset)
-    predictor = load(finished_run, "cpu")
+    predictor = load(str(finished_run), "cpu")
     phasor = shards.complex_phasors([0, 1, 2])
     many, one = predictor.predict(phasor, shards.reference), predictor.predict(phasor[1], shards.reference)
     assert many.radial_depth_m.shape == phasor.shape[:3]
