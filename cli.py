@@ -23,7 +23,7 @@ import scenegen
 from scenegen import Preset
 
 if TYPE_CHECKING:
-    import render
+    from render.farm.run import RunResult
 
 DEVICE = click.option(
     "--device",
@@ -85,9 +85,9 @@ def night_gen() -> None:
 @refusing
 def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers: int) -> None:
     """Make the scenes of a preset in the folder OUT; a larger --count than before adds scenes."""
-    from scenegen.generation import check_target, generate
-    from scenegen.generation_pool import generate_in_processes
-    from scenegen.meshes import read_meshes
+    from scenegen.making.generation import check_target, generate
+    from scenegen.making.generation_pool import generate_in_processes
+    from scenegen.making.meshes import read_meshes
 
     settings, preset_folder = _overridden(preset, count, seed)
     meshes = read_meshes(settings, preset_folder)
@@ -122,15 +122,16 @@ def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers:
 @refusing
 def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | None) -> None:
     """Draw a contact sheet and plots of DATASET, and write its card, README.md."""
-    import render
+    from render.products import contact_sheet
+    from render.products import preview as preview_files
 
     opened = scenegen.open_dataset(dataset)
     ids = [opened.entry(scene_id).id for scene_id in dict.fromkeys(only)]
-    ids = ids or render.choose_scenes(opened, count)
-    render.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
-    maker = _blender_maker(render.meshes_in(opened))
+    ids = ids or contact_sheet.choose_scenes(opened, count)
+    preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
+    maker = _blender_maker(preview_files.meshes_in(opened))
     with tqdm(total=len(opened.ids()) + len(ids), unit="scene", desc="preview", disable=None) as bar:
-        written = render.write_preview(opened, ids, maker.picture, licence, lambda: bar.update())
+        written = preview_files.write_preview(opened, ids, maker.picture, licence, lambda: bar.update())
     for file in written:
         click.echo(f"{file}")
     if dataset / "README.md" not in written:
@@ -231,11 +232,12 @@ def _convert(
 ) -> None:
     """Other forms of the transients: captures for y-tal, phasors at any frequencies, or none at all."""
     import render
+    from render.products.conversion import shrink_dataset
 
     if out is None and (form == "tal" or frequencies_hz):
         raise click.UsageError(f"--convert {form} needs a folder to write to: give --out FOLDER")
     if out is None:
-        freed = render.shrink_dataset(dataset, ids)
+        freed = shrink_dataset(dataset, ids)
         click.echo(f"{len(ids)} scenes have no transients now: {freed / 1e6:.3g} MB freed")
         return
     for scene_id in tqdm(ids, unit="scene", desc="convert", disable=None):
@@ -262,7 +264,7 @@ def _say(sentence: str) -> None:
     click.echo(sentence, err=True)
 
 
-def _summarise(dataset: Path, result: render.RunResult) -> None:
+def _summarise(dataset: Path, result: RunResult) -> None:
     """Closing lines of a run; exit code 1 when scenes failed."""
     click.echo(f"{result.rendered} scenes rendered, {result.present} were there; {dataset / 'renders'}")
     for scene_id, reason in sorted(result.failures.items()):
@@ -346,6 +348,7 @@ def night_train(
     torchrun --nproc-per-node 4 $(which night-train) DATASET --out RUN
     """  # noqa: D301
     import model
+    from model.training.processes import is_first_process
 
     opened = scenegen.open_dataset(dataset)
     before = model.run_settings(out) if resume else {}
@@ -357,7 +360,7 @@ def night_train(
     model.settings_from_dict(given, "options")  # what is wrong with them is not the preset's fault
     settings = model.settings_from_dict(before | data | given, origin)
     result = model.train(opened, out, settings, resume=resume)
-    if model.is_first_process():
+    if is_first_process():
         click.echo(
             f"{result.epochs} epochs, ended by {result.ended_by}; best validation loss "
             f"{result.best_validation_loss:.4f} in epoch {result.best_epoch}; run in {out}"
@@ -482,7 +485,7 @@ def _overridden(preset: str, count: int | None, seed: int | None) -> tuple[Prese
 
 def _blender_maker(meshes: Mapping[str, Any]) -> Any:
     """Start Blender in this process, one of the command's workers or itself."""
-    from scenegen.blender import BlenderMaker
+    from scenegen.making.blender import BlenderMaker
 
     return BlenderMaker(meshes)
 

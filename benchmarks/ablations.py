@@ -16,22 +16,13 @@ from statistics import mean
 import numpy as np
 from numpy.typing import NDArray
 
-from model import (
-    Feed,
-    Predictor,
-    RowBlock,
-    Shards,
-    Summary,
-    TrainSettings,
-    image_metrics,
-    load,
-    no_object_metrics,
-    open_shards,
-    settings_from_dict,
-    summarise,
-    train,
-    training_preset,
-)
+from model.data.feed import Feed
+from model.data.rows import RowBlock
+from model.data.shards import Shards, open_shards
+from model.network.metrics import Summary, image_metrics, no_object_metrics, summarise
+from model.prediction.predictor import Predictor, load
+from model.settings import TrainSettings, settings_from_dict, training_preset
+from model.training.loop import train
 from scenegen import open_dataset, read_settings
 
 BATCH = 16

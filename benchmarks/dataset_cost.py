@@ -15,11 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from model import open_shards
-from render import MethodOptions, RenderSettings
-from render.clusters import connected
-from render.jobs import Job, Outcome
-from render.queue import RenderQueue
+from model.data.shards import open_shards
+from render.farm.clusters import connected
+from render.farm.jobs import Job, Outcome
+from render.farm.queue import RenderQueue
+from render.settings import RenderSettings
+from render.transport.method import MethodOptions
 from scenegen import Dataset, open_dataset
 
 WARM_UP = 7  # one of each class: all kernels are compiled then

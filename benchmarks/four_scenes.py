@@ -6,8 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from scenegen import Dataset, preset_from_dict, sample_scene
-from scenegen.blender import BlenderMaker
-from scenegen.generation import generate
+from scenegen.making.blender import BlenderMaker
+from scenegen.making.generation import generate
 
 SCENES = (("sphere", 0.3), ("cube", 0.6), ("concave_plane", 0.9), ("composite", 0.6))
 

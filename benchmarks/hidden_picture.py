@@ -11,7 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from itof import TransientLayout, amplitude, phase
-from render import ManyLight, MethodOptions, View, select_variant, trace_ground_truth
+from render.backend import select_variant
+from render.transport.many_light import ManyLight
+from render.transport.method import MethodOptions, View
+from render.transport.mirrored import trace_ground_truth
 
 HZ = (20e6,)
 TARGET = Path(__file__).parent.parent / "docs" / "hidden_signal.png"

@@ -10,10 +10,11 @@ from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from render import select_variant, trace_ground_truth
+from render.backend import select_variant
+from render.transport.mirrored import trace_ground_truth
 from scenegen import leaks, load_preset
-from scenegen.blender import BlenderMaker
-from scenegen.generation import generate
+from scenegen.making.blender import BlenderMaker
+from scenegen.making.generation import generate
 
 WIDTH, HEIGHT = 80, 60
 

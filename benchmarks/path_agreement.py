@@ -12,7 +12,10 @@ import numpy as np
 from four_scenes import four_scenes
 
 from itof import MeasurementMatrix, TransientLayout
-from render import ManyLight, MethodOptions, PathTracer, View, select_variant
+from render.backend import select_variant
+from render.transport.many_light import ManyLight
+from render.transport.method import MethodOptions, View
+from render.transport.path_tracer import PathTracer
 
 HZ = (20e6, 50e6, 60e6)
 

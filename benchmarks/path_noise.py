@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from itof import TransientLayout, phasors
-from render import MethodOptions, PathTracer, View, select_variant
+from render.backend import select_variant
+from render.transport.method import MethodOptions, View
+from render.transport.path_tracer import PathTracer
 from scenegen import preset_from_dict
-from scenegen.blender import BlenderMaker
-from scenegen.generation import generate
+from scenegen.making.blender import BlenderMaker
+from scenegen.making.generation import generate
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
 REFERENCE_SPP = 16384  # its own noise of 8-11 % changes the norm by half a percent

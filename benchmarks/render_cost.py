@@ -17,8 +17,12 @@ import trimesh
 from four_scenes import four_scenes
 
 from itof import TransientLayout, read_image
-from render import ManyLight, MethodOptions, Renderer, RenderSettings, View, select_variant
-from render.gather_pass import Grid, gather_lights, gauss_rule
+from render.backend import select_variant
+from render.rendering import Renderer
+from render.settings import RenderSettings
+from render.transport.gather_pass import Grid, gather_lights, gauss_rule
+from render.transport.many_light import ManyLight
+from render.transport.method import MethodOptions, View
 
 HZ = (20e6, 50e6, 60e6)
 

@@ -15,7 +15,9 @@ import numpy as np
 from four_scenes import four_scenes
 
 from itof import TransientLayout, phasors
-from render import ManyLight, MethodOptions, View, select_variant
+from render.backend import select_variant
+from render.transport.many_light import ManyLight
+from render.transport.method import MethodOptions, View
 
 HZ = (60e6,)
 

@@ -34,7 +34,8 @@ def measure(step: str, folder: Path) -> None:
     """Do one step in this process; print its seconds, peak memory in MB, and MB read."""
     import torch
 
-    from model import Feed, open_shards
+    from model.data.feed import Feed
+    from model.data.shards import open_shards
     from scenegen import open_dataset
 
     read = 0

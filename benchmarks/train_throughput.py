@@ -22,19 +22,16 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from itof import phase_per_metre
-from model import (
-    BatchMaker,
-    Draws,
-    InputSpec,
-    NightLoss,
-    Processes,
-    RowBlock,
-    RunConfig,
-    TrainingStep,
-    TrainSettings,
-    WallView,
-    choose_device,
-)
+from model.data.augmentation import Draws
+from model.data.batches import BatchMaker
+from model.data.rows import RowBlock
+from model.network.channels import InputSpec
+from model.network.loss import NightLoss
+from model.network.wall_view import WallView
+from model.run_folder import RunConfig
+from model.settings import TrainSettings, choose_device
+from model.training.processes import Processes
+from model.training.step import TrainingStep
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
 VIEW = WallView(60.0, ((1, 0, 0), (0, 1, 0), (0, 0, 1)), (0, 0, 0), (0, 0, 2), (0, 0, -1))

@@ -1,8 +1,8 @@
 """What a transient costs on disk: size, seconds and memory of our layout under every lossless compression.
 
 Renders one scene (a sphere, wall roughness 0.3) with many-light, or with the path tracer, and writes it
-again as scanlines of an EXR file (docs/files.md) and as the HDF5 file of ``render.tal_export``, (T, W, H) in
-chunks. Every file is compared with the rendered bits. Times are of calls with warm caches, without waiting
+again as scanlines of an EXR file (docs/files.md) and as the HDF5 file of ``render.products.tal_export``,
+(T, W, H) in chunks. Every file is compared with the rendered bits. Times are of calls with warm caches, without waiting
 for the disk; memory is the peak of a process that only writes, or only reads, 64 MiB of rows at a time. Run:
 
     .venv/bin/python benchmarks/transient_storage.py
@@ -27,7 +27,9 @@ import OpenEXR
 
 from itof import TransientLayout, TransientReader
 from itof.exr import TRANSIENT_CHANNEL
-from render import MethodOptions, Renderer, RenderSettings
+from render.rendering import Renderer
+from render.settings import RenderSettings
+from render.transport.method import MethodOptions
 
 EXR = ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "ZSTD")  # PXR24, B44 and DWA are lossy for floats
 HDF5 = {

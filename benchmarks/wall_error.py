@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 from ablations import judged
 
-from model import WallView, load, open_shards
+from model.data.shards import open_shards
+from model.network.wall_view import WallView
+from model.prediction.predictor import load
 from scenegen import open_dataset
 
 

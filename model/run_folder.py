@@ -24,19 +24,19 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from model.inputs import InputSpec
-from model.readout import Readout
+from model.network.channels import InputSpec
+from model.network.readout import Readout
+from model.network.unet import UNet
+from model.network.wall_view import WallView
 from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
-from model.unet import UNet
-from model.wall_view import WallView
-from scenegen import PresetError, whole_file, write_text
+from scenegen import PresetError, Refusal, whole_file, write_text
 from scenegen.preset import STRICT, Positive, WholeCount, checked
 
 RUN_SCHEMA: Final = 2
 CHECKPOINT_KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
 
 
-class RunError(ValueError):
+class RunError(Refusal):
     """A run folder that is missing, foreign, damaged, of another schema, or in the way."""
 
 

@@ -11,11 +11,11 @@ import torch
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from model.augmentation import Augmentation
-from model.inputs import Channels
-from model.loss import LossName, LossTarget, NightLoss
-from model.readout import Readout
-from scenegen import PresetError, read_settings
+from model.data.augmentation import Augmentation
+from model.network.channels import Channels
+from model.network.loss import LossName, LossTarget, NightLoss
+from model.network.readout import Readout
+from scenegen import PresetError, Refusal, read_settings
 from scenegen.preset import STRICT, Positive, WholeCount, checked
 
 DeviceName = Literal["auto", "cpu", "cuda"]
@@ -28,7 +28,7 @@ MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoin
 NotNegative = Annotated[float, Field(ge=0)]
 
 
-class DeviceError(ValueError):
+class DeviceError(Refusal):
     """A device that this machine does not have."""
 
 

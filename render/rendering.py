@@ -14,11 +14,6 @@ from numpy.typing import NDArray
 
 from itof import MeasurementMatrix, TransientWriter, phasor_channels, write_image
 from render.backend import select_variant
-from render.hidden_surface import HiddenSurfaceError
-from render.method import Exposure, View
-from render.methods import METHODS
-from render.mirrored import trace_ground_truth
-from render.scene_checks import SceneError
 from render.settings import (
     GROUND_TRUTH,
     IMAGES,
@@ -29,6 +24,11 @@ from render.settings import (
     RenderError,
     RenderSettings,
 )
+from render.transport.hidden_surface import HiddenSurfaceError
+from render.transport.method import Exposure, View
+from render.transport.methods import METHODS
+from render.transport.mirrored import trace_ground_truth
+from render.transport.scene_checks import SceneError
 from scenegen import (
     RECORD_FILE,
     Dataset,

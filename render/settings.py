@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 from itof import TransientLayout
 from render.backend import Device
-from render.method import MethodOptions
-from render.methods import DEFAULT_METHOD, METHODS
-from scenegen import Dataset, RenderingProvenance
+from render.transport.method import MethodOptions
+from render.transport.methods import DEFAULT_METHOD, METHODS
+from scenegen import Dataset, Refusal, RenderingProvenance
 
 Product = Literal["transient", "itof", "both"]
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
@@ -23,7 +23,7 @@ _MOST_PIXELS = 2**26  # all of an image's rays are in flight at once for the gro
 _WORKING_COPIES = 4  # of a block of rows: bins, numpy's copy, a sum in double precision
 
 
-class RenderError(ValueError):
+class RenderError(Refusal):
     """A scene that cannot be rendered as asked."""
 
 

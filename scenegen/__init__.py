@@ -1,6 +1,6 @@
 """What a scene and a dataset folder are, as plain data, and the one file that makes them in Blender.
 
-`scenegen.blender` is not imported here: it needs `bpy`, and only ``night-gen`` does.
+`scenegen.making.blender` is not imported here: it needs `bpy`, and only ``night-gen`` does.
 """
 
 from scenegen.chatter import silenced
@@ -14,10 +14,12 @@ from scenegen.dataset import (
     open_dataset,
     write_index,
 )
-from scenegen.file_hashes import FileHashes, sha256_of
+from scenegen.files.file_hashes import FileHashes, sha256_of
+from scenegen.files.whole_files import is_partial, whole_file, whole_folder, write_text
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, PresetError, data_folder, load_preset, preset_from_dict, read_settings
-from scenegen.render_record import (
+from scenegen.refusal import Refusal
+from scenegen.render_folder import (
     RECORD_FILE,
     FailureRecord,
     FileRecord,
@@ -30,7 +32,6 @@ from scenegen.render_record import (
 )
 from scenegen.sampling import SamplingError, leaks, sample_scene, sample_valid_scene
 from scenegen.scene import Camera, Scene, Split, scene_from_json, scene_id, scene_to_json
-from scenegen.whole_files import is_partial, whole_file, whole_folder, write_text
 
 __all__ = [
     "RECORD_FILE",
@@ -43,6 +44,7 @@ __all__ = [
     "FileRecord",
     "Preset",
     "PresetError",
+    "Refusal",
     "RenderRecord",
     "RenderingProvenance",
     "SamplingError",

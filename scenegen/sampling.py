@@ -8,12 +8,13 @@ from math import floor
 import numpy as np
 
 from scenegen.preset import Preset, Vector
+from scenegen.refusal import Refusal
 from scenegen.scene import COMPOSITE, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000
 
 
-class SamplingError(ValueError):
+class SamplingError(Refusal):
     """No sample of a scene fits behind the middle wall."""
 
 

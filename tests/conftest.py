@@ -7,7 +7,7 @@ from scenegen import load_preset, preset_from_dict
 
 @pytest.fixture(scope="session")
 def maker():
-    from scenegen.blender import BlenderMaker
+    from scenegen.making.blender import BlenderMaker
 
     return BlenderMaker()
 
@@ -15,7 +15,7 @@ def maker():
 @pytest.fixture(scope="session")
 def make_dataset(maker, tmp_path_factory):
     """Make a real dataset from the keys of a preset; everything else has the paper's value."""
-    from scenegen.generation import generate
+    from scenegen.making.generation import generate
 
     def make(data):
         return generate(
@@ -27,7 +27,7 @@ def make_dataset(maker, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def variant():
-    from render import select_variant
+    from render.backend import select_variant
 
     return select_variant("cpu")
 

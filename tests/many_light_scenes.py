@@ -9,7 +9,9 @@ import numpy as np
 import trimesh
 
 from itof import MeasurementMatrix, TransientLayout
-from render import ManyLight, MethodOptions, PathTracer, View
+from render.transport.many_light import ManyLight
+from render.transport.method import MethodOptions, View
+from render.transport.path_tracer import PathTracer
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
 LAYOUT = TransientLayout(24, 18, 1400, 0.01, 0.0)

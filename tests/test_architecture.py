@@ -28,13 +28,13 @@ HOME = {
     "mitransient": "render/",
     "torch": "model/",
     "click": "cli.py",
-    "bpy": "scenegen/blender.py",
-    "bmesh": "scenegen/blender.py",
-    "mathutils": "scenegen/blender.py",
+    "bpy": "scenegen/making/blender.py",
+    "bmesh": "scenegen/making/blender.py",
+    "mathutils": "scenegen/making/blender.py",
     "OpenEXR": "itof/exr.py",
     "Imath": "itof/exr.py",
-    "h5py": ("render/tal_export.py", "model/measurement_files.py"),
-    "imageio_ffmpeg": "render/movie.py",
+    "h5py": ("render/products/tal_export.py", "model/prediction/measurement_files.py"),
+    "imageio_ffmpeg": "render/products/movie.py",
 }
 
 
@@ -62,7 +62,7 @@ def imports_of_blender(tree):
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         else:
             continue
-        if "scenegen.blender" in names:
+        if "scenegen.making.blender" in names:
             yield node
 
 
@@ -97,10 +97,10 @@ def test_the_blender_file_is_imported_late_and_by_night_gen_alone():
 @pytest.mark.parametrize(
     "line",
     [
-        "import scenegen.blender",
+        "import scenegen.making.blender",
         "from scenegen import Scene, blender",
-        "import os, scenegen.blender as maker",
-        "from scenegen.blender import BlenderMaker",
+        "import os, scenegen.making.blender as maker",
+        "from scenegen.making.blender import BlenderMaker",
     ],
 )
 def test_every_way_to_import_the_blender_file_is_seen(line):

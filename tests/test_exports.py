@@ -13,11 +13,13 @@ import yaml
 from PIL import Image
 
 from itof import TransientLayout, TransientReader, TransientWriter, pixel_rays, read_image
-from render import MethodOptions, Renderer, RenderSettings
-from render.conversion import ExportError, convert_to_itof, shrink_to_itof
-from render.movie import MovieOptions, write_movie
-from render.tal_export import export_tal
-from render.verification import verify_scene
+from render.products.conversion import ExportError, convert_to_itof, shrink_to_itof
+from render.products.movie import MovieOptions, write_movie
+from render.products.tal_export import export_tal
+from render.products.verification import verify_scene
+from render.rendering import Renderer
+from render.settings import RenderSettings
+from render.transport.method import MethodOptions
 from scenegen import camera_axes, open_dataset, read_record, wall_normal
 
 WIDTH, HEIGHT = 24, 18
@@ -224,7 +226,7 @@ def test_the_hidden_return_is_visible_after_the_direct_one(dataset, tmp_path):
 
 
 def test_long_films_add_up_bins_and_wide_ones_average_pixels(tmp_path, monkeypatch):
-    monkeypatch.setattr("render.movie._MOST_PIXELS_WIDE", 3)  # 5 x 3 pixels become 3 x 2
+    monkeypatch.setattr("render.products.movie._MOST_PIXELS_WIDE", 3)  # 5 x 3 pixels become 3 x 2
     bright = np.zeros((3, 5, 40), np.float32)
     bright[..., 10] = 1  # one flash everywhere: averages of edge pixels must not be darker
     with TransientWriter(tmp_path / "flash.exr", TransientLayout(5, 3, 40, 0.01, 0.0), {}) as writer:

@@ -33,7 +33,8 @@ from many_light_scenes import (
 from three_bounce_quadrature import hidden_phasors
 
 from itof import MeasurementMatrix, pixel_rays
-from render import ManyLight, MethodOptions, View
+from render.transport.many_light import ManyLight
+from render.transport.method import MethodOptions, View
 
 AXES = np.stack([RIGHT, DOWN, FORWARD])
 PATCH_NORMAL = (-1, 0.1, 0.2)

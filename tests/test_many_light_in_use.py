@@ -27,14 +27,14 @@ from many_light_scenes import (
 )
 
 from itof import TransientLayout
-from render import SceneError
-from render.hidden_surface import HiddenSurfaceError
+from render.transport.hidden_surface import HiddenSurfaceError
+from render.transport.scene_checks import SceneError
 
 # Blocks, kernels, memory
 
 
 def test_images_do_not_depend_on_the_size_of_blocks(variant, tmp_path, monkeypatch):
-    import render.gather_pass as gather_pass
+    import render.transport.gather_pass as gather_pass
 
     scene = Corner((box(),), wall_bsdf=rough_plastic(0.5)).load(tmp_path)
     blocks, whole_rows = gather_pass.Grid.blocks, []
@@ -78,7 +78,8 @@ def test_transients_do_not_depend_on_the_size_of_blocks(variant, tmp_path):
 KERNELS_OF_EACH_SCENE = """
 import sys
 from pathlib import Path
-from render import MethodOptions, Renderer, RenderSettings
+from render import Renderer, RenderSettings
+from render.transport.method import MethodOptions
 from scenegen import open_dataset
 
 dataset = open_dataset(Path(sys.argv[1]))

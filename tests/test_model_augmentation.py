@@ -8,7 +8,9 @@ import pytest
 import torch
 
 from itof import direct_phasors, network_channels, phase_per_metre, residual_channels
-from model import Augmentation, Batch, BatchMaker, Draws, InputSpec, TensorRows, Warp
+from model.data.augmentation import Augmentation, Draws, Warp
+from model.data.batches import Batch, BatchMaker, TensorRows
+from model.network.channels import InputSpec
 
 HEIGHT, WIDTH = 6, 10
 FREQUENCIES_HZ = (20e6, 50e6)

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from itof import depth_from_phase, phase, phasor_of_return
-from model import NightLoss, Readout, intersection_over_union
+from model.network.loss import NightLoss, intersection_over_union
+from model.network.readout import Readout
 
 READOUT = Readout(20e6)
 HEIGHT, WIDTH = 2, 3

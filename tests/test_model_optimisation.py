@@ -5,7 +5,10 @@ import math
 import pytest
 import torch
 
-from model import LossError, LossWatch, Optimisation, TrainSettings, UNet, learning_rate
+from model.network.unet import UNet
+from model.settings import TrainSettings
+from model.training.loss_watch import LossError, LossWatch
+from model.training.optimisation import Optimisation, learning_rate
 
 CPU = torch.device("cpu")
 

@@ -7,16 +7,10 @@ import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
 
-from model import (
-    Feed,
-    RowLayout,
-    machine_bytes,
-    open_shards,
-    rows_by_piece,
-    shuffled_windows,
-    window_rows,
-    windows_in_order,
-)
+from model.data.feed import Feed, machine_bytes, window_rows
+from model.data.order import rows_by_piece, shuffled_windows, windows_in_order
+from model.data.rows import RowLayout
+from model.data.shards import open_shards
 
 # 100 rows of 150, in pieces of 10: two of three, as a training split has them.
 ROWS = [row for row in range(150) if row % 3]
@@ -85,7 +79,7 @@ def test_in_order_means_ascending_in_windows_of_whole_pieces():
 @pytest.fixture(scope="module")
 def shards(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("model.pieces.PIECE_BYTES", 3 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
+        patch.setattr("model.data.pieces.PIECE_BYTES", 3 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
         folder = tmp_path_factory.mktemp("feed")
         yield open_shards(write_synthetic_dataset(folder / "data", count=20, width=WIDTH, height=HEIGHT))
 

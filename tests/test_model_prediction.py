@@ -21,13 +21,15 @@ from synthetic_dataset import write_synthetic_dataset
 
 import cli
 from itof import phasor_channels, pixel_rays, read_image, split_components, write_image
-from model import RunError, TrainSettings, open_shards, train
-from model.measurement_files import MeasurementError, read_measurement
-from model.onnx_export import INPUT, METADATA, OUTPUT, ExportError, export_onnx
-from model.prediction import load
-from model.prediction_files import PredictionError, predict_file
-from model.run_folder import RUN_SCHEMA, RunConfig
-from model.wall_view import WallView, wall_view
+from model.data.shards import open_shards
+from model.network.wall_view import WallView, wall_view
+from model.prediction.measurement_files import MeasurementError, read_measurement
+from model.prediction.onnx_export import INPUT, METADATA, OUTPUT, ExportError, export_onnx
+from model.prediction.prediction_files import PredictionError, predict_file
+from model.prediction.predictor import load
+from model.run_folder import RUN_SCHEMA, RunConfig, RunError
+from model.settings import TrainSettings
+from model.training.loop import train
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
 
@@ -290,7 +292,7 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(run, exr, phaso
 def test_an_interrupted_prediction_leaves_the_earlier_one_as_it_was(run, exr, phasors, tmp_path, monkeypatch):
     predict(run, exr, tmp_path / "out")
     before = {file: file.read_bytes() for file in (tmp_path / "out").iterdir()}
-    monkeypatch.setattr("model.prediction_files.BATCH", 1)
+    monkeypatch.setattr("model.prediction.prediction_files.BATCH", 1)
     seen = 0
 
     def interrupt(*_: object) -> None:
@@ -591,7 +593,7 @@ def test_an_export_that_computes_something_else_is_refused(run, tmp_path, monkey
             with torch.no_grad():
                 weight.copy_(kept)
 
-    from model import onnx_export
+    from model.prediction import onnx_export
 
     model_of = onnx_export._onnx_model
     monkeypatch.setattr(onnx_export, "_onnx_model", another_network)

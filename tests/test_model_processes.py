@@ -12,7 +12,9 @@ import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
 
-from model import Processes, TrainSettings, train
+from model.settings import TrainSettings
+from model.training.loop import train
+from model.training.processes import Processes
 
 TRAIN = """
 import sys

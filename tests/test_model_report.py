@@ -15,18 +15,15 @@ from safetensors.torch import load_file, save_file
 from synthetic_dataset import write_synthetic_dataset
 
 from itof import phasor_of_return
-from model import (
-    EvaluationError,
-    Readout,
-    RunError,
-    TrainSettings,
-    evaluate,
-    image_metrics,
-    open_shards,
-    train,
-)
-from model.calibration import SWEEP, ThresholdSweep, output_of
-from model.prediction import load, read_output
+from model.data.shards import open_shards
+from model.network.metrics import image_metrics
+from model.network.readout import Readout
+from model.prediction.predictor import load, read_output
+from model.report.calibration import SWEEP, ThresholdSweep, output_of
+from model.report.evaluation import EvaluationError, evaluate
+from model.run_folder import RunError
+from model.settings import TrainSettings
+from model.training.loop import train
 from scenegen import open_dataset
 
 CHROMIUM = shutil.which("chromium")

@@ -10,8 +10,11 @@ import pytest
 from synthetic_dataset import write_synthetic_dataset, write_synthetic_render
 
 from itof import ImageFileError, direct_phasors, join_components, read_image, residual_channels, write_image
-from model import RowLayout, ShardError, fit_input_spec, open_shards
-from model.pieces import scenes_per_piece
+from model.data.pieces import scenes_per_piece
+from model.data.renders import ShardError
+from model.data.rows import RowLayout
+from model.data.shards import open_shards
+from model.network.channels import fit_input_spec
 from scenegen import (
     DatasetError,
     FailureRecord,
@@ -50,7 +53,7 @@ def with_nan(values):
 @pytest.fixture
 def pairs(dataset, monkeypatch):
     """The same dataset, with shards in pieces of two scenes."""
-    monkeypatch.setattr("model.pieces.PIECE_BYTES", 2 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
     return dataset
 
 
@@ -70,7 +73,7 @@ def rewritten(before: dict[str, int], after: dict[str, int]) -> set[str]:
 
 @pytest.mark.parametrize("piece_rows", [1, 2, 3, 4, 6])
 def test_shards_hold_every_scene_as_it_was_rendered(dataset, monkeypatch, piece_rows):
-    monkeypatch.setattr("model.pieces.PIECE_BYTES", piece_rows * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", piece_rows * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
     shards = open_shards(dataset)
     assert [piece.contents.name for piece in shards.manifest.pieces] == dataset.ids()[::piece_rows]
     block = shards.read([5, 0, 4, 2, 1, 3])
@@ -142,7 +145,7 @@ def test_fresh_shards_are_used_again_and_a_changed_render_rebuilds_its_piece_alo
 
 
 def test_more_scenes_rebuild_the_last_piece_and_add_new_ones(tmp_path, monkeypatch):
-    monkeypatch.setattr("model.pieces.PIECE_BYTES", 2 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
     small = write_synthetic_dataset(tmp_path / "data", count=5, width=WIDTH, height=HEIGHT)
     before, files = open_shards(small).read(range(5)), inodes(small)
     large = write_synthetic_dataset(tmp_path / "data", count=8, width=WIDTH, height=HEIGHT)
@@ -235,7 +238,7 @@ def test_shards_of_schema_version_1_are_replaced(pairs):
 
 def test_pieces_of_another_size_go(pairs, monkeypatch):
     open_shards(pairs)
-    monkeypatch.setattr("model.pieces.PIECE_BYTES", 3 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 3 * RowLayout(WIDTH, HEIGHT, 3).row_bytes)
     open_shards(pairs)
     assert {name.split("/")[0] for name in inodes(pairs)} == {"000000", "000003"}
 

@@ -19,26 +19,18 @@ from safetensors.torch import load_file, save_file
 from synthetic_dataset import write_synthetic_dataset
 
 from itof import phasor_of_return, pixel_rays
-from model import (
-    DeviceError,
-    EvaluationError,
-    NightLoss,
-    Readout,
-    RowLayout,
-    RunError,
-    TrainingError,
-    TrainSettings,
-    choose_device,
-    evaluate,
-    load,
-    open_shards,
-    run_settings,
-    settings_from_dict,
-    train,
-    training_preset,
-)
+from model.data.rows import RowLayout
+from model.data.shards import open_shards
+from model.network.loss import NightLoss
+from model.network.readout import Readout
+from model.prediction.predictor import load
+from model.report.evaluation import EvaluationError, evaluate
+from model.run_folder import RunError, run_settings
+from model.settings import DeviceError, TrainSettings, choose_device, settings_from_dict, training_preset
+from model.training.loop import train
+from model.training.refusals import TrainingError
 from scenegen import FailureRecord, PresetError, write_failure
-from scenegen.whole_files import HOST
+from scenegen.files.whole_files import HOST
 
 FLIP = {"flip_columns": False, "rotation_deg": 0.0, "translation": 0.0}
 QUICK = {
@@ -107,7 +99,7 @@ def test_a_resumed_run_ends_with_the_weights_of_an_uninterrupted_one(dataset, fi
 def streamed(tmp_path, monkeypatch):
     """A dataset in six pieces, and memory for two windows of two of its scenes, or of one piece."""
     row_bytes = RowLayout(24, 14, 3).row_bytes
-    monkeypatch.setattr("model.pieces.PIECE_BYTES", 2 * row_bytes)
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * row_bytes)
     dataset = write_synthetic_dataset(tmp_path / "data", count=12)
     return dataset, 4 * row_bytes
 

@@ -4,7 +4,9 @@ import pytest
 import torch
 
 from itof import phasor_of_return
-from model import NightLoss, Readout, UNet
+from model.network.loss import NightLoss
+from model.network.readout import Readout
+from model.network.unet import UNet
 
 FREQUENCY_HZ = 20e6
 

@@ -18,21 +18,15 @@ from matplotlib import image as png
 
 import cli
 from itof import amplitude, direct_phasors, phase, read_image, write_image
-from render import (
-    CardError,
-    MethodOptions,
-    Renderer,
-    RenderError,
-    RenderSettings,
-    choose_scenes,
-    meshes_in,
-    write_preview,
-)
-from render.contact_sheet import contact_sheet, read_tile
-from render.dataset_card import checked_licence, dataset_card, read_card
-from render.distributions import distributions_figure, ratio_sentence, read_distributions
+from render.products.card import CardError, checked_licence, dataset_card, read_card
+from render.products.contact_sheet import choose_scenes, contact_sheet, read_tile
+from render.products.distributions import distributions_figure, ratio_sentence, read_distributions
+from render.products.preview import meshes_in, write_preview
+from render.rendering import Renderer
+from render.settings import RenderError, RenderSettings
+from render.transport.method import MethodOptions
 from scenegen import RenderingProvenance, camera_axes, open_dataset, sample_scene, wall_normal, write_index
-from scenegen.meshes import read_meshes
+from scenegen.making.meshes import read_meshes
 
 SIZE = (144, 108)  # of Blender's view: a small object still covers 30 pixels
 RENDERED = ("000000", "000001", "000003")

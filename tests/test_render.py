@@ -18,7 +18,11 @@ from itof import (
     pixel_rays,
     read_image,
 )
-from render import Inventory, MethodOptions, PathTracer, Renderer, RenderError, RenderSettings, View
+from render.farm.inventory import Inventory
+from render.rendering import Renderer
+from render.settings import RenderError, RenderSettings
+from render.transport.method import MethodOptions, View
+from render.transport.path_tracer import PathTracer
 from scenegen import Dataset, camera_axes, wall_normal
 
 WIDTH, HEIGHT = 32, 24
@@ -139,7 +143,7 @@ def test_the_mirrored_sphere_is_where_ray_sphere_geometry_puts_it(rendered):
 
 
 def test_the_mirrored_cube_is_where_its_planes_are(rough_cube, variant):
-    from render import trace_ground_truth
+    from render.transport.mirrored import trace_ground_truth
 
     truth = trace_ground_truth(load(rough_cube, "mirrored.xml"), WIDTH, HEIGHT)
     scene = rough_cube.scene("000000")
@@ -254,8 +258,8 @@ def test_hidden_noise_falls_with_the_square_root_of_the_paths(rough_cube, varian
 def test_many_passes_and_row_blocks_measure_the_same_scene(rough_cube, variant, monkeypatch):
     scene = load(rough_cube)
     whole = phasors(measure(scene, 1024, variant, max_bounces=1), FREQUENCIES_HZ, 0.01)
-    monkeypatch.setattr("render.path_tracer._WAVEFRONT", 5 * WIDTH * 256)
-    monkeypatch.setattr("render.path_tracer._SAMPLES_PER_PASS", 256)
+    monkeypatch.setattr("render.transport.path_tracer._WAVEFRONT", 5 * WIDTH * 256)
+    monkeypatch.setattr("render.transport.path_tracer._SAMPLES_PER_PASS", 256)
     parts = phasors(measure(scene, 1024, variant, max_bounces=1), FREQUENCIES_HZ, 0.01)
     np.testing.assert_allclose(parts, whole, rtol=1e-4)
 

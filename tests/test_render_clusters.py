@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from night_commands import night
 
 import cli
-from render import ClusterError, batch_cluster
+from render.farm.clusters import ClusterError, batch_cluster
 
 ROOT = Path(__file__).parent.parent
 SBATCH = """#!/bin/sh

@@ -8,12 +8,13 @@ import time
 
 import pytest
 
-from render import MethodOptions, Renderer, RenderSettings, read_status
-from render.claims import OtherRunError, attempts_of, claimed, joined_run, running
-from render.inventory import Inventory
-from render.plan import make_plan, size
-from render.settings import settings_of
-from render.status import duration
+from render.farm.claims import OtherRunError, attempts_of, claimed, joined_run, running
+from render.farm.inventory import Inventory
+from render.farm.plan import make_plan, size
+from render.farm.status import duration, read_status
+from render.rendering import Renderer
+from render.settings import RenderSettings, settings_of
+from render.transport.method import MethodOptions
 from scenegen import RECORD_FILE, RenderingProvenance, read_record
 
 LIGHTS = MethodOptions(lights=256)
@@ -101,7 +102,7 @@ def test_a_claim_counts_attempts_of_one_run_and_forgets_those_of_another(tmp_pat
 
 def test_a_claim_is_one_process_s_and_dies_with_it(tmp_path):
     code = (
-        "import sys, time, pathlib; from render.claims import claimed\n"
+        "import sys, time, pathlib; from render.farm.claims import claimed\n"
         "with claimed(pathlib.Path(sys.argv[1]), '000007') as claim:\n"
         "    print(claim is not None, flush=True); time.sleep(60)"
     )

@@ -18,7 +18,9 @@ import pytest
 from night_commands import PRESET, night, words
 
 from itof import read_image, write_image
-from render import MethodOptions, RenderSettings, RunOptions, render_dataset
+from render.farm.run import RunOptions, render_dataset
+from render.settings import RenderSettings
+from render.transport.method import MethodOptions
 from scenegen import open_dataset, read_failure, read_record, sha256_of
 
 # About half a second a scene, so that a signal at a random moment meets a scene at work.

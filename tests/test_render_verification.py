@@ -17,9 +17,11 @@ from itof import (
     read_image,
     write_image,
 )
-from render import MethodOptions, Renderer, RenderSettings, verify
-from render.geometry import traced_depth_m
-from render.verification import BINNED_TOLERANCE, verify_scene
+from render.products.geometry import traced_depth_m
+from render.products.verification import BINNED_TOLERANCE, verify, verify_scene
+from render.rendering import Renderer
+from render.settings import RenderSettings
+from render.transport.method import MethodOptions
 from scenegen import (
     FileRecord,
     camera_axes,

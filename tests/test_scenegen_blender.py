@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 from scenegen import DatasetError, camera_axes, preset_from_dict, sample_scene, scene_id, wall_normal
-from scenegen.generation import generate
-from scenegen.whole_files import HOST
+from scenegen.files.whole_files import HOST
+from scenegen.making.generation import generate
 
 
 def folder_digest(root: Path) -> dict[str, str]:

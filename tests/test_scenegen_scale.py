@@ -17,8 +17,8 @@ from click.testing import CliRunner
 
 import cli
 from scenegen import DatasetError, RenderingProvenance, open_dataset, preset_from_dict, scene_id, write_index
-from scenegen.generation import check_target, generate
-from scenegen.meshes import MAX_TRIANGLES, read_mesh
+from scenegen.making.generation import check_target, generate
+from scenegen.making.meshes import MAX_TRIANGLES, read_mesh
 
 NIGHT_GEN = Path(sys.executable).with_name("night-gen")
 
@@ -241,7 +241,7 @@ MEMORY = """
 import os
 from pathlib import Path
 from scenegen import preset_from_dict, sample_valid_scene
-from scenegen.blender import BlenderMaker
+from scenegen.making.blender import BlenderMaker
 
 preset, maker, made_bytes = preset_from_dict({}, "paper"), BlenderMaker(), 0
 for index in range(700):
@@ -421,7 +421,7 @@ def test_a_mesh_is_cleaned_of_what_has_no_area_or_stands_twice(tmp_path):
 
 def test_the_outermost_vertices_of_a_mesh_decide_like_all_of_them(maker, tmp_path):
     from scenegen import sample_scene
-    from scenegen.blender import BlenderMaker
+    from scenegen.making.blender import BlenderMaker
 
     inner, outer = trimesh.creation.icosphere(subdivisions=2, radius=0.9), trimesh.creation.box((2, 2, 2))
     (tmp_path / "both.ply").write_bytes(exported(trimesh.util.concatenate([inner, outer])))

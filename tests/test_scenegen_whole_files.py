@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from scenegen import is_partial, whole_file, whole_folder, write_text
-from scenegen.whole_files import HOST
+from scenegen.files.whole_files import HOST
 
 KILLED = """
 import os, sys

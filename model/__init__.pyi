@@ -1,0 +1,26 @@
+from .network.channels import InputSpec
+from .network.readout import Readout
+from .network.unet import UNet
+from .prediction.onnx_export import export_onnx
+from .prediction.prediction_files import predict_file
+from .prediction.predictor import Predictor, load
+from .report.evaluation import evaluate
+from .run_folder import run_settings
+from .settings import TrainSettings, settings_from_dict, training_preset
+from .training.loop import train
+
+__all__ = [
+    "InputSpec",
+    "Predictor",
+    "Readout",
+    "TrainSettings",
+    "UNet",
+    "evaluate",
+    "export_onnx",
+    "load",
+    "predict_file",
+    "run_settings",
+    "settings_from_dict",
+    "train",
+    "training_preset",
+]

@@ -1,0 +1,165 @@
+"""Batches of a split, from memory where all of it fits, else streamed from the disk piece by piece."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import torch
+
+from model.data.order import shuffled_windows, windows_in_order, without_first
+from model.data.rows import RowBlock
+from model.data.shards import Shards
+
+MEMORY_PART = 0.25  # of the machine's memory, for the rows of one split
+_CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+class Rows(Protocol):
+    """Some rows of the shards, in memory or on a device."""
+
+    def __len__(self) -> int: ...
+
+    def take(self, rows: Sequence[int], /) -> Self:
+        """A copy of some of the rows, in the order asked for."""
+
+    def joined(self, other: Self, /) -> Self:
+        """These rows and then the other's."""
+
+
+Block = TypeVar("Block", bound=Rows)
+
+
+def _as_read(block: RowBlock) -> Any:
+    return block
+
+
+class Feed(Generic[Block]):
+    """Rows of a split as batches.
+
+    With `window_rows` for all of them, they are read, prepared (by default left as they are; uploaded to a
+    GPU, say) and held once. Otherwise a thread reads the next
+    window while this one is used, each piece of the shards whole and once an epoch; a batch may take its
+    last rows from the next window.
+
+    Attributes
+    ----------
+    rows : of the shards, in ascending order.
+    window_rows : how many of them are held at once; a window is never less than the rows of one piece.
+    """
+
+    def __init__(
+        self,
+        shards: Shards,
+        rows: Sequence[int],
+        window_rows: int,
+        prepare: Callable[[RowBlock], Block] = _as_read,
+    ) -> None:
+        self.rows, self.window_rows = list(rows), window_rows
+        self._shards, self._per_piece = shards, shards.manifest.scenes_per_piece
+        self._prepare = prepare
+        self._held: Block | None = None
+
+    @property
+    def is_resident(self) -> bool:
+        """Whether all rows are held in memory."""
+        return len(self.rows) <= self.window_rows
+
+    def shuffled(self, batch_size: int, generator: torch.Generator, *, skip: int = 0) -> Iterator[Block]:
+        """Every row once, in random order; all that is drawn from `generator` is drawn now.
+
+        The first `skip` batches are left out and not read: they were used before.
+        """
+        windows = shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)
+        return _batches(self._blocks(without_first(windows, skip * batch_size)), batch_size)
+
+    def in_order(self, batch_size: int) -> Iterator[Block]:
+        """Every row once, in ascending order."""
+        windows = windows_in_order(self.rows, self._per_piece, self.window_rows)
+        return _batches(self._blocks(windows), batch_size)
+
+    def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], Block]]:
+        """Each window's rows in the order wanted, and the block that holds them."""
+        if not self.is_resident:
+            yield from _read_ahead(lambda rows: self._prepare(self._shards.read(rows)), windows)
+            return
+        if self._held is None:
+            self._held = self._prepare(self._shards.read(self.rows))
+        yield from ((window, self._held) for window in windows)
+
+
+def window_rows(
+    shards: Shards,
+    row_count: int,
+    memory_bytes: int | None = None,
+    device: torch.device = torch.device("cpu"),  # noqa: B008  (immutable)
+    sharers: int = 1,
+) -> int:
+    """How many of `row_count` rows to hold at once: all, or what half of the memory takes.
+
+    The other half is for the window that is read ahead.
+
+    Parameters
+    ----------
+    memory_bytes : that the rows may take; by default MEMORY_PART of the memory of machine or GPU.
+    device : that they are held on.
+    sharers : processes that share the machine's memory.
+    """
+    allowed = int(MEMORY_PART * memory_of(device, sharers)) if memory_bytes is None else memory_bytes
+    row_bytes = shards.manifest.layout.row_bytes
+    return row_count if row_count * row_bytes <= allowed else allowed // (2 * row_bytes)  # 2 windows
+
+
+def memory_of(device: torch.device, sharers: int = 1) -> int:
+    """Bytes of memory of a GPU, or a share of the machine's; on their way to a GPU rows take both."""
+    share = machine_bytes() // sharers
+    if device.type == "cpu":
+        return share
+    return min(share, torch.cuda.get_device_properties(device).total_memory)
+
+
+def machine_bytes() -> int:
+    """Memory of this machine, or of the container it is."""
+    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    for name in _CONTAINER_LIMITS:
+        try:
+            total = min(total, int(Path(name).read_text(encoding="ascii")))
+        except (OSError, ValueError):  # no such control group, or "max"
+            continue
+    return total
+
+
+def _read_ahead(
+    read: Callable[[list[int]], Block], windows: Sequence[list[int]]
+) -> Iterator[tuple[list[int], Block]]:
+    """Windows and their rows; while one is used, a thread reads the next."""
+    if not windows:
+        return
+    with ThreadPoolExecutor(1, "shards") as pool:
+        ahead = pool.submit(read, windows[0])
+        for index, window in enumerate(windows):
+            block = ahead.result()
+            if index + 1 < len(windows):
+                ahead = pool.submit(read, windows[index + 1])
+            yield window, block
+            del block  # else three windows would be in memory
+
+
+def _batches(windows: Iterable[tuple[list[int], Block]], size: int) -> Iterator[Block]:
+    """Cut windows into batches of `size` rows; only the last batch of all may have fewer."""
+    begun: Block | None = None
+    for order, block in windows:
+        start = 0
+        while start < len(order):
+            end = start + size - (len(begun) if begun else 0)
+            part = block.take(order[start:end])
+            begun = part if begun is None else begun.joined(part)
+            start = end
+            if len(begun) == size:
+                yield begun
+                begun = None
+    if begun is not None:
+        yield begun

@@ -1,0 +1,184 @@
+"""A trained network as a function from measurement to depth map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from itof import amplitude, join_components, z_from_radial
+from model.network.readout import Readout
+from model.network.unet import UNet
+from model.run_folder import RunConfig, load_weights, read_config
+from model.settings import DeviceName, choose_device
+
+BATCH = 16  # images at a time; QVGA at full width takes about 1 GB
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the network says of some images: the mirrored scene, as if the relay wall were a mirror.
+
+    Attributes
+    ----------
+    radial_depth_m : (..., H, W) float32, along the ray, 0 on background.
+    mask : (..., H, W) bool, where the hidden object shows.
+    phasor : (..., H, W) complex64, at the frequency of the ground truth (`RunConfig.output_frequency_hz`).
+    """
+
+    radial_depth_m: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    phasor: NDArray[np.complex64]
+
+    @property
+    def depth(self) -> NDArray[np.float32]:
+        """`radial_depth_m`: (..., H, W) metres *along the ray* of each pixel, 0 on background."""
+        return self.radial_depth_m
+
+    def z_depth_m(self, horizontal_fov_deg: float) -> NDArray[np.float64]:
+        """(..., H, W) metres along the optical axis, 0 on background."""
+        return z_from_radial(self.radial_depth_m, horizontal_fov_deg)
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """A trained network and all it needs to be used; made by `load`."""
+
+    config: RunConfig
+    network: UNet
+    device: torch.device
+
+    @cached_property
+    def reference(self) -> NDArray[np.complex64]:
+        """(H, W, F) direct return of the relay wall the run was trained with, as precise as the shards."""
+        config = self.config
+        size = (config.image_width, config.image_height)
+        return config.geometry.direct_phasors(*size, config.inputs.frequencies_hz).astype(np.complex64)
+
+    def predict(
+        self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
+    ) -> Prediction:
+        """Depth map and mask of measurements.
+
+        Parameters
+        ----------
+        phasors : (H, W, F) or (N, H, W, F) complex, at the frequencies `config.inputs.frequencies_hz` in
+            their order, of the size trained on.
+        reference : (H, W, F) complex, what the camera sees of the empty corner, up to a real factor; by
+            default the relay wall's direct return, computed from the run's own camera and wall.
+        rescale : take the phasors' unit as unknown: bring every image's mean amplitude at the first
+            frequency to the mean of the training scenes. Without it they are in the unit of those.
+
+        Raises
+        ------
+        ValueError : other shapes or frequencies than trained on, values that are not finite, or an image
+            without light that is to be rescaled.
+        """
+        z = np.asarray(phasors)
+        self._refuse_other_images(z)
+        known = self._known(reference)
+        images = z if z.ndim == 4 else z[None]
+        if rescale:
+            images = images * self._gain(images)
+        parts = [
+            self._predict_some(self._channels(images[start : start + BATCH], known))
+            for start in range(0, len(images), BATCH)
+        ]
+        radial_depth_m, mask, predicted = (np.concatenate(x) for x in zip(*parts, strict=True))
+        if z.ndim == 3:
+            radial_depth_m, mask, predicted = radial_depth_m[0], mask[0], predicted[0]
+        return Prediction(radial_depth_m, mask, predicted)
+
+    @property
+    def _image_shape(self) -> tuple[int, int, int]:
+        config = self.config
+        return config.image_height, config.image_width, len(config.inputs.frequencies_hz)
+
+    def _refuse_other_images(self, z: NDArray[np.generic]) -> None:
+        if z.ndim not in (3, 4):
+            raise ValueError(f"expected phasors of shape (H, W, F) or (N, H, W, F), got {z.shape}")
+        if z.shape[-3:] != self._image_shape or not z.size:
+            raise ValueError(
+                f"expected phasors of shape {self._image_shape} (H, W, F), as the network was trained on, "
+                f"or some of them, got {z.shape}"
+            )
+        _refuse_not_phasors(z, "the measurement")
+
+    def _known(self, reference: ArrayLike | None) -> NDArray[np.generic] | None:
+        """The reference to use; None where the channels need none, which saves computing it."""
+        if reference is None:
+            return self.reference if self.config.inputs.uses_residual else None
+        known = np.asarray(reference)
+        if known.shape != self._image_shape:
+            raise ValueError(f"expected a reference of shape {self._image_shape}, got {known.shape}")
+        _refuse_not_phasors(known, "the reference")
+        return known
+
+    def _channels(
+        self, images: NDArray[np.generic], reference: NDArray[np.generic] | None
+    ) -> NDArray[np.float32]:
+        with np.errstate(over="ignore"):  # seen below
+            channels = self.config.inputs.apply(images, reference)  # (N, C, H, W)
+        if not np.isfinite(channels).all():
+            raise ValueError(
+                "the measurement holds values too large for the network's float32 channels: rescale it, or "
+                "set pixels that received almost no light to 0"
+            )
+        return channels
+
+    def _gain(self, images: NDArray[np.generic]) -> NDArray[np.float64]:
+        """(N, 1, 1, 1) factors that bring (N, H, W, F) phasors to the training scenes' amplitude."""
+        mean = amplitude(images[..., 0]).mean(axis=(1, 2), dtype=np.float64)  # (N,)
+        if not (mean > 0).all():
+            dark = int(np.flatnonzero(~(mean > 0))[0])
+            raise ValueError(
+                f"image {dark} of {len(images)} holds no light at the first frequency: it cannot be rescaled"
+            )
+        gain: NDArray[np.float64] = self.config.inputs.amplitude_scale / mean
+        return gain[:, None, None, None]
+
+    @torch.no_grad()
+    def _predict_some(
+        self, channels: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
+        self.network.eval()
+        output = self.network(torch.from_numpy(channels).to(self.device))  # (N, 2, H, W)
+        return read_output(output, self.config.readout)
+
+
+def _refuse_not_phasors(z: NDArray[np.generic], what: str) -> None:
+    if not np.iscomplexobj(z):
+        raise ValueError(f"{what} must be complex phasors, got {z.dtype}")
+    if not np.isfinite(z).all():
+        raise ValueError(f"{what} holds NaN or infinite values")
+
+
+def read_output(
+    output: Tensor, readout: Readout
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
+    """Radial depth, mask and phasor, each (N, H, W), of network outputs (N, 2, H, W)."""
+    output = output.detach()
+    components = np.moveaxis(readout.components(output).cpu().numpy(), 1, -1)  # (N, H, W, 2)
+    phasor = join_components(components)[..., 0].astype(np.complex64)  # (N, H, W)
+    return readout.radial_depth_m(output).cpu().numpy(), readout.mask(output).cpu().numpy() > 0, phasor
+
+
+def load(run: str | Path, device: DeviceName = "auto") -> Predictor:
+    """A trained network, from its run folder, with the weights of its best epoch.
+
+    Raises
+    ------
+    RunError : no run, damaged, of another schema or another architecture.
+    DeviceError : a device that is not there.
+    """
+    folder = Path(run)
+    config = read_config(folder)
+    chosen = choose_device(device)
+    network = config.network()
+    load_weights(folder, network)
+    return Predictor(config, network.to(chosen), chosen)

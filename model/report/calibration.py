@@ -1,0 +1,145 @@
+"""Calibration: what scenes would score under other mask thresholds, from one pass through the network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from model.network.readout import Readout
+from model.prediction.predictor import Prediction, read_output
+from scenegen import Split
+
+SWEEP = tuple(round(0.05 * step, 2) for step in range(1, 20))  # 0.05 .. 0.95
+
+
+@dataclass(frozen=True)
+class ThresholdPoint:
+    """Averages over the scenes of a split under one mask threshold; MAE over all pixels, metres."""
+
+    threshold: float
+    miou: float
+    depth_mae_m: float
+
+
+@dataclass(frozen=True)
+class ThresholdCurve:
+    """How the scenes of a split score as the mask threshold rises."""
+
+    split: Split
+    points: tuple[ThresholdPoint, ...]
+
+    @property
+    def best(self) -> ThresholdPoint:
+        """The point of highest mIoU; of several the one of lowest MAE, and then of lowest threshold."""
+        return max(self.points, key=lambda p: (p.miou, -p.depth_mae_m, -p.threshold))
+
+    def at(self, threshold: float) -> ThresholdPoint:
+        """The point at a threshold that was swept; KeyError at any other."""
+        return {p.threshold: p for p in self.points}[threshold]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The sweep of the judged split and of the validation split, where there is one.
+
+    Attributes
+    ----------
+    run_threshold : of the run's own settings.
+    judged_threshold : with which the scenes were judged; the same unless another was asked for.
+    """
+
+    run_threshold: float
+    judged_threshold: float
+    judged: ThresholdCurve
+    validation: ThresholdCurve | None
+
+    @property
+    def judged_with(self) -> str:
+        """Which threshold the numbers were made with, as words."""
+        of_run = (
+            "the run's own"
+            if self.judged_threshold == self.run_threshold
+            else (f"the run's own is {self.run_threshold:g}")
+        )
+        return f"judged with mask threshold {self.judged_threshold:g} ({of_run})"
+
+
+class ThresholdSweep:
+    """Collects images of one split and says how they score at every threshold.
+
+    Each pixel is looked at once: it is in the mask of every threshold up to its amplitude, so counts and
+    errors by amplitude, summed up from either end, are those of all thresholds together.
+    """
+
+    def __init__(self, split: Split, thresholds: Sequence[float], readout: Readout) -> None:
+        self.split, self.thresholds, self._readout = split, sorted({*thresholds}), readout
+        self._miou: list[NDArray[np.float64]] = []
+        self._depth_mae_m: list[NDArray[np.float64]] = []
+
+    def add(
+        self,
+        phasor: NDArray[np.complex64],
+        radial_depth_gt_m: NDArray[np.float32],
+        mask_gt: NDArray[np.uint8],
+    ) -> None:
+        """Take in images, all (N, H, W): predicted phasors, true radial depth in metres and true mask."""
+        output = output_of(phasor)  # (N, 2, H, W)
+        everywhere, _, _ = read_output(output, replace(self._readout, mask_threshold=0.0))
+        size = (
+            self._readout.components(output).norm(dim=1).cpu().numpy()
+        )  # (N, H, W), as the readout takes it
+        for depth_m, amplitude, truth_m, truth in zip(
+            everywhere, size, radial_depth_gt_m, mask_gt > 0, strict=True
+        ):
+            self._add_image(depth_m, amplitude, truth_m.astype(np.float64), truth)
+
+    def curve(self) -> ThresholdCurve:
+        """Averages over all images, by ascending threshold."""
+        miou, mae_m = np.mean(self._miou, axis=0), np.mean(self._depth_mae_m, axis=0)  # (T,)
+        rows = zip(self.thresholds, miou, mae_m, strict=True)
+        return ThresholdCurve(self.split, tuple(ThresholdPoint(t, float(i), float(m)) for t, i, m in rows))
+
+    def _add_image(
+        self,
+        depth_m: NDArray[np.float32],
+        amplitude: NDArray[np.float32],
+        truth_m: NDArray[np.float64],
+        truth: NDArray[np.bool_],
+    ) -> None:
+        levels = np.asarray(self.thresholds, dtype=amplitude.dtype)  # (T,)
+        passed = np.searchsorted(levels, amplitude.ravel(), side="right")  # thresholds each pixel reaches
+
+        def total(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+            sums = np.bincount(passed, weights.ravel(), minlength=len(levels) + 1)  # (T + 1,)
+            return sums.astype(np.float64)
+
+        shown = _from_above(total(np.ones(truth.shape)))
+        hit = _from_above(total(truth.astype(np.float64)))
+        error_m = _from_above(total(np.abs(depth_m - truth_m)))
+        missed_m = np.cumsum(total(np.abs(truth_m)))[:-1]  # what is predicted as background has depth 0
+        union = shown + truth.sum() - hit
+        object_iou = np.divide(hit, union, out=np.ones_like(hit), where=union > 0)
+        neither, apart = truth.size - union, truth.size - hit
+        background_iou = np.divide(neither, apart, out=np.ones_like(hit), where=apart > 0)
+        self._miou.append(np.mean([object_iou, background_iou], axis=0))
+        self._depth_mae_m.append((error_m + missed_m) / truth.size)
+
+
+def reread(prediction: Prediction, readout: Readout) -> Prediction:
+    """Read predictions (N, H, W) again, with another mask threshold; their phasors are what they were."""
+    return Prediction(*read_output(output_of(prediction.phasor), readout))
+
+
+def output_of(phasor: NDArray[np.complex64]) -> Tensor:
+    """The network output (N, 2, H, W) that stands in a prediction's phasors (N, H, W)."""
+    return torch.from_numpy(np.stack([phasor.real, phasor.imag], axis=1))
+
+
+def _from_above(by_level: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(T,) sums over all pixels that reach each of T thresholds, of (T + 1,) sums by thresholds reached."""
+    return np.cumsum(by_level[::-1])[::-1][1:]

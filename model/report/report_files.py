@@ -1,0 +1,116 @@
+"""The report's files for programs and for documents: JSON, CSV, text and Markdown."""
+
+from __future__ import annotations
+
+import csv
+import html
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from model.report.calibration import Calibration
+from model.report.groups import Group
+from model.report.results import PAPER, Report, scene_numbers
+from scenegen import whole_file, write_text
+
+REPORT_SCHEMA = 1
+REPORT_ENTRIES = frozenset(
+    {"index.html", "metrics.json", "metrics.csv", "table.txt", "summary.md", "figures", "pointclouds"}
+)
+GROUP_HEAD = ("scenes", "MAE, cm", "object MAE, cm", "mIoU", "no object: MAE, cm")
+IN_SUMMARY = ("object_class", "roughness")  # the group tables that documents want
+
+
+def is_report(folder: Path) -> bool:
+    """Whether a folder holds an earlier report, and nothing else."""
+    try:
+        content = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    ours = isinstance(content, dict) and content.get("schema_version") == REPORT_SCHEMA
+    return ours and {entry.name for entry in folder.iterdir()} <= REPORT_ENTRIES
+
+
+def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
+    """Write ``metrics.json``, ``metrics.csv``, ``table.txt`` and ``summary.md``.
+
+    Parameters
+    ----------
+    origin : what was judged on what, as plain data.
+    """
+    scenes = [scene_numbers(result) for result in report.scenes]
+    content: dict[str, Any] = {
+        "schema_version": REPORT_SCHEMA,
+        **origin,
+        "split": report.split,
+        "scene_count": len(report.scenes),
+        "depth": "radial (along the ray), metres; background counts with depth 0",
+        "mask_threshold": report.calibration.judged_threshold,
+        "run_mask_threshold": report.calibration.run_threshold,
+        "prediction": asdict(report.prediction),
+        "no_object": asdict(report.no_object),
+        "paper": PAPER,
+        "groups": {table.key: [asdict(group) for group in table.groups] for table in report.groups},
+        "calibration": _calibration(report.calibration),
+        "scenes": scenes,
+    }
+    write_text(out / "metrics.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_text(out / "table.txt", report.table + "\n")
+    write_text(out / "summary.md", summary_markdown(report))
+    with whole_file(out / "metrics.csv") as partial, partial.open("w", newline="") as stream:
+        table = csv.DictWriter(stream, fieldnames=list(scenes[0]))
+        table.writeheader()
+        table.writerows(scenes)
+
+
+def summary_markdown(report: Report) -> str:
+    """The summary, and the tables by shape and by roughness, to be pasted into a document."""
+    head = (
+        f"{report.split} split, {len(report.scenes)} scenes, radial depth; {report.calibration.judged_with}."
+    )
+    lines = [head, ""]
+    rows = [(measure.name, who, *texts) for measure, who, texts in report.lines()]
+    lines += _markdown(("measure", "", "average", "std", "min", "max"), rows, words=2)
+    for table in report.groups:
+        if table.key in IN_SUMMARY:
+            rows = [(group.name, *group_texts(group)) for group in table.groups]
+            lines += ["", *_markdown((table.title, *GROUP_HEAD), rows, words=1)]
+    return "\n".join(lines) + "\n"
+
+
+def group_texts(group: Group) -> tuple[str, ...]:
+    """Numbers of a group in the order of GROUP_HEAD."""
+    on_object = "-" if group.object_mae_m is None else f"{100 * group.object_mae_m:.2f}"
+    return (
+        f"{group.count}",
+        f"{100 * group.depth_mae_m:.2f}",
+        on_object,
+        f"{group.miou:.3f}",
+        f"{100 * group.no_object_mae_m:.2f}",
+    )
+
+
+def _calibration(calibration: Calibration) -> dict[str, Any]:
+    """The sweep as plain data, and what validation recommends."""
+    content: dict[str, Any] = {
+        curve.split: [asdict(point) for point in curve.points]
+        for curve in (calibration.validation, calibration.judged)
+        if curve is not None
+    }
+    if calibration.validation is not None:
+        best = calibration.validation.best
+        content["best_on_validation"] = asdict(best)
+        content["judged_split_at_that_threshold"] = asdict(calibration.judged.at(best.threshold))
+    return content
+
+
+def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: int) -> list[str]:
+    """A Markdown table; the first `words` columns are words, the others numbers and stand right."""
+    rule = ["---" if column < words else "---:" for column in range(len(head))]
+    return ["| " + " | ".join(_cell(text) for text in row) + " |" for row in (head, rule, *rows)]
+
+
+def _cell(text: str) -> str:
+    return html.escape(text, quote=False).replace("|", "\\|").replace("\n", " ")

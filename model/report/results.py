@@ -1,0 +1,105 @@
+"""What an evaluation found: numbers of every scene, their statistics, and the paper's beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+from model.network.metrics import Statistics, Summary
+from model.report.calibration import Calibration
+from model.report.groups import GroupTable
+from model.report.scene_result import SceneResult
+from scenegen import Split
+
+PAPER = {
+    "source": "Caligiuri et al. 2024 (arXiv 2403.19376), on their own data set",
+    "depth_mae_m": {"mean": 0.0521, "std": 0.0284, "min": 0.0114, "max": 0.1870},
+    "miou": {"mean": 0.77, "std": 0.12, "min": 0.48, "max": 0.95},
+}
+
+
+class Measure(NamedTuple):
+    """A metric as people read it: its field in `Summary`, its name, and how many of its units make one."""
+
+    field: str
+    name: str
+    scale: float
+
+
+MEASURES = (
+    Measure("depth_mae_m", "MAE over all pixels, cm", 100.0),
+    Measure("object_mae_m", "MAE on the object, cm", 100.0),
+    Measure("object_iou", "object IoU", 1.0),
+    Measure("miou", "mIoU", 1.0),
+    Measure("accuracy", "accuracy", 1.0),
+)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Outcome of an evaluation; `table` is for people.
+
+    Attributes
+    ----------
+    split : which scenes were judged.
+    scenes : numbers of each, in scene order.
+    prediction, no_object : statistics over them, of the network and of predicting "no object" everywhere.
+    groups : averages by shape, wall, position and size.
+    calibration : the same scenes under other mask thresholds; holds the threshold they were judged with.
+    """
+
+    split: Split
+    scenes: tuple[SceneResult, ...]
+    prediction: Summary
+    no_object: Summary
+    groups: tuple[GroupTable, ...]
+    calibration: Calibration
+
+    @property
+    def ranked(self) -> list[SceneResult]:
+        """The scenes by accuracy, best first."""
+        return sorted(self.scenes, key=lambda result: -result.prediction.accuracy)
+
+    @property
+    def table(self) -> str:
+        """The summary as text, baseline and paper beside it."""
+        head = f"{self.split} split, {len(self.scenes)} scenes, radial depth"
+        lines = [f"{head:<44}{'average':>9}{'std':>9}{'min':>9}{'max':>9}"]
+        for measure, who, statistics in self.lines():
+            lines.append(f"{f'{measure.name:<26}{who}':<44}" + "".join(f"{v:>9}" for v in statistics))
+        if self.calibration.judged_threshold != self.calibration.run_threshold:
+            lines.append(self.calibration.judged_with)
+        return "\n".join(lines)
+
+    def lines(self) -> Iterator[tuple[Measure, str, list[str]]]:
+        """Lines of the summary: measure, whose, and average, std, min and max as text."""
+        for measure in MEASURES:
+            for who, summary in (("prediction", self.prediction), ("no object", self.no_object)):
+                yield measure, who, _texts(getattr(summary, measure.field), measure.scale)
+            paper = PAPER.get(measure.field)
+            if isinstance(paper, dict):
+                yield measure, "paper, own data", _texts(Statistics(**paper, count=0), measure.scale)
+
+
+def scene_numbers(result: SceneResult) -> dict[str, str | float | None]:
+    """One line of ``metrics.csv``; lengths in metres."""
+    return {
+        "scene": result.scene,
+        "object_class": result.object_class,
+        "composite": int(result.is_composite),
+        "roughness": result.roughness,
+        **dict(zip(("x_m", "y_m", "z_m"), result.location_m, strict=True)),
+        "object_pixels": result.object_pixels,
+        **asdict(result.prediction),
+        "miou": result.prediction.miou,
+        "accuracy": result.prediction.accuracy,
+        "no_object_mae_m": result.no_object.depth_mae_m,
+    }
+
+
+def _texts(statistics: Statistics | None, scale: float) -> list[str]:
+    if statistics is None:
+        return ["-"] * 4
+    values = (statistics.mean, statistics.std, statistics.min, statistics.max)
+    return [f"{scale * value:.3f}" for value in values]

@@ -1,0 +1,49 @@
+"""One judged scene: what was in it, and how well it was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.network.metrics import ImageMetrics, image_metrics, no_object_metrics
+from model.prediction.predictor import Prediction
+from scenegen import Scene
+
+
+@dataclass(frozen=True)
+class SceneResult:
+    """Metrics of one scene, of the prediction and of the "no object" baseline, and what may explain them.
+
+    Attributes
+    ----------
+    roughness : of the relay wall; None for a diffuse one.
+    location_m : centre of the hidden object, of a composite that of its first part, world axes, metres.
+    object_pixels : how many pixels show the object in truth.
+    """
+
+    scene: str
+    object_class: str
+    is_composite: bool
+    roughness: float | None
+    location_m: tuple[float, float, float]
+    object_pixels: int
+    prediction: ImageMetrics
+    no_object: ImageMetrics
+
+
+def judge_scene(
+    scene: Scene, prediction: Prediction, radial_depth_gt_m: NDArray[np.float32], mask_gt: NDArray[np.uint8]
+) -> SceneResult:
+    """Judge the prediction of one image against its truth, all (H, W), depths in metres."""
+    return SceneResult(
+        scene=scene.id,
+        object_class=scene.object_class,
+        is_composite=len(scene.hidden_objects) > 1,
+        roughness=scene.relay_wall.roughness,
+        location_m=scene.hidden_objects[0].location_m,
+        object_pixels=int(np.count_nonzero(mask_gt)),
+        prediction=image_metrics(prediction.radial_depth_m, prediction.mask, radial_depth_gt_m, mask_gt),
+        no_object=no_object_metrics(radial_depth_gt_m, mask_gt),
+    )

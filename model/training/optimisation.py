@@ -1,0 +1,103 @@
+"""From a loss to the next weights: Adam, its learning rate, clipped gradients, averaged weights."""
+
+from __future__ import annotations
+
+from math import cos, pi
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+from torch.nn.utils import clip_grad_norm_
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from model.network.unet import UNet
+from model.settings import TrainSettings, number_type
+
+
+def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:
+    """Learning rate of a step, counted from 0.
+
+    It grows linearly through the warm-up, whose last step has the full rate; then it stays, or falls as half
+    a cosine that would be 0 in the step after the last of `max_epochs`.
+
+    Source: Caligiuri et al. 2024, sec. 5.1 (constant); Loshchilov, Hutter, "SGDR", ICLR 2017, eq. 5.
+    """
+    warm_up = settings.warm_up_epochs
+    rate = settings.learning_rate
+    if warm_up:
+        rate *= min(1.0, (step + 1) / (warm_up * steps_per_epoch))
+    if settings.schedule == "constant" or settings.max_epochs <= warm_up:
+        return rate
+    done = (step / steps_per_epoch - warm_up) / (settings.max_epochs - warm_up)
+    done = min(1.0, max(0.0, done))
+    return rate * (1 + cos(pi * done)) / 2  # the mean of 1 and the cosine, not a path length
+
+
+class Optimisation:
+    """Adam on a network's weights, as the settings want it.
+
+    Attributes
+    ----------
+    steps : done so far.
+    average : exponential moving average of the weights (Polyak averaging), or None.
+    gradient_norm : of the last step, before clipping; 0 until then, and where nothing is clipped.
+    """
+
+    def __init__(
+        self, network: UNet, settings: TrainSettings, steps_per_epoch: int, device: torch.device
+    ) -> None:
+        self.network, self.settings, self.steps_per_epoch = network, settings, steps_per_epoch
+        self.adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, fused=True)
+        # The gradients of half floats vanish below 6e-8 unless the loss is scaled up first.
+        scales = number_type(settings.precision, device) == torch.float16
+        self.scaler = torch.amp.GradScaler(device.type, enabled=scales)
+        decay = settings.ema_decay
+        self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(decay)) if decay else None
+        self.steps = 0
+        self.gradient_norm = torch.zeros(())
+
+    @property
+    def judged(self) -> UNet:
+        """The network that is validated and kept: of averaged weights, if there are any."""
+        if self.average is None:
+            return self.network
+        return cast(UNet, self.average.module)
+
+    def step(self, loss: Tensor) -> None:
+        """Change the weights against the gradient of `loss`."""
+        rate = learning_rate(self.settings, self.steps, self.steps_per_epoch)
+        for group in self.adam.param_groups:
+            group["lr"] = rate
+        self.adam.zero_grad()
+        self.scaler.scale(loss).backward()
+        if self.settings.clip_norm > 0:
+            self.scaler.unscale_(self.adam)
+            self.gradient_norm = clip_grad_norm_(self.network.parameters(), self.settings.clip_norm)
+        self.scaler.step(self.adam)
+        self.scaler.update()
+        if self.average is not None:
+            self.average.update_parameters(self.network)
+        self.steps += 1
+
+    def state(self) -> dict[str, Any]:
+        """All that a resumed run needs besides the weights: tensors, numbers and text."""
+        return {
+            "adam": self.adam.state_dict(),
+            "scaler": self.scaler.state_dict(),
+            "average": self.average.state_dict() if self.average is not None else None,
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict[str, Any]) -> bool:
+        """Take up a state; False, or one of the errors of torch, when it is of another network."""
+        names = set(self.adam.param_groups[0])
+        self.adam.load_state_dict(state["adam"])
+        self.scaler.load_state_dict(state["scaler"])
+        if self.average is not None:
+            self.average.load_state_dict(state["average"])
+        self.steps = int(state["steps"])
+        return names <= set(self.adam.param_groups[0]) and all(
+            self.adam.state[parameter][moment].shape == parameter.shape
+            for parameter in self.network.parameters()
+            for moment in ("exp_avg", "exp_avg_sq")
+        )

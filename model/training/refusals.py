@@ -1,0 +1,69 @@
+"""What keeps a training from starting or going on, each in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+
+from model.data.shards import Shards
+from model.run_folder import RunConfig, RunError
+from scenegen import Dataset, Refusal, is_partial
+
+
+class TrainingError(Refusal):
+    """A dataset that cannot be trained on, or a loss that is not a number."""
+
+
+def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
+    """Refuse an `out` that is in use, and a dataset that lacks a split; before anything costs time.
+
+    Raises
+    ------
+    RunError : `out` holds something else, or a run that is not to be resumed.
+    TrainingError : no training or no validation scenes.
+    """
+    if not resume and out.exists() and not _is_free(out):
+        if not out.is_dir():
+            raise RunError(f"{out} is a file: choose another folder for the run")
+        if (out / "run.json").is_file():
+            raise RunError(f"{out} exists already: resume it (--resume) or choose another folder")
+        raise RunError(f"{out} is not empty and holds no run: choose another folder")
+    for split in ("train", "validation"):
+        if not dataset.ids(split):
+            raise TrainingError(
+                f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
+                "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
+            )
+
+
+def refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:
+    """`TrainingError` where every scene of a split failed to render."""
+    for split in ("train", "validation"):
+        if not shards.rows(split):
+            raise TrainingError(
+                f"no {split} scene of {dataset.root} could be rendered: see night-render --status"
+            )
+
+
+def _is_free(out: Path) -> bool:
+    """Whether a new run may be written to `out`: an empty folder, but for what a killed process left."""
+    return out.is_dir() and all(is_partial(entry.name) for entry in out.iterdir())
+
+
+@contextmanager
+def naming_memory(config: RunConfig) -> Iterator[None]:
+    """Turn PyTorch's and numpy's ways to run out of memory into one sentence, a `TrainingError`."""
+    try:
+        yield
+    except (RuntimeError, MemoryError) as error:
+        # On the CPU, PyTorch has no exception of its own for this.
+        ours = isinstance(error, torch.OutOfMemoryError | MemoryError) or "alloc_cpu.cpp" in str(error)
+        if not ours:
+            raise
+        raise TrainingError(
+            f"out of memory with batch size {config.settings.batch_size} and width {config.settings.width} "
+            f"at {config.image_width}x{config.image_height} pixels: make the batch or the width smaller"
+        ) from None

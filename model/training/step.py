@@ -1,0 +1,64 @@
+"""One step of training: from rows on the device to the next weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from model.data.augmentation import Draws
+from model.data.batches import Batch, BatchMaker, TensorRows
+from model.network.loss import NightLoss
+from model.run_folder import RunConfig
+from model.settings import number_type
+from model.training.optimisation import Optimisation
+from model.training.processes import Processes
+
+
+class TrainingStep:
+    """Network, loss and optimiser of a run, and what the processor is to make of them.
+
+    Attributes
+    ----------
+    network : whose weights are trained.
+    maker : of batches from rows.
+    loss : as the settings want it.
+    optimisation : of the network's weights.
+
+    Parameters
+    ----------
+    steps_per_epoch : which the learning rate's course is measured in.
+    """
+
+    def __init__(
+        self, config: RunConfig, maker: BatchMaker, processes: Processes, steps_per_epoch: int
+    ) -> None:
+        settings, device = config.settings, processes.device
+        self.maker, self.augmentation = maker, settings.augmentation
+        self._device_type, self._number_type = device.type, number_type(settings.precision, device)
+        self._order = torch.channels_last if settings.channels_last else torch.contiguous_format
+        network = config.network(torch.Generator().manual_seed(settings.seed)).to(device)
+        self.network = network.to(memory_format=self._order)  # type: ignore[call-overload]
+        parallel = processes.parallel(self.network)
+        self._trained = torch.compile(parallel) if settings.compile else parallel
+        self.loss = NightLoss(config.readout, settings.loss, settings.loss_on, settings.alpha)
+        self.optimisation = Optimisation(self.network, settings, steps_per_epoch, device)
+
+    def loss_of(self, rows: TensorRows, draws: Draws) -> Tensor:
+        """Loss of the network on rows, changed as chance decided; its graph is kept for `take`."""
+        batch = self.augmentation(rows, self.maker, draws)
+        return self.judge(self.output(batch, self._trained), batch)
+
+    def take(self, loss: Tensor) -> None:
+        """Change the weights against the gradient of a loss."""
+        self.optimisation.step(loss)
+
+    def judge(self, output: Tensor, batch: Batch) -> Tensor:
+        """Loss of a network output."""
+        return self.loss(output, batch.target, batch.radial_depth_m, batch.mask)
+
+    def output(self, batch: Batch, network: Callable[[Tensor], Tensor]) -> Tensor:
+        """(N, 2, H, W) float32 output of `network`, computed in the run's precision."""
+        with torch.autocast(self._device_type, self._number_type, enabled=self._number_type != torch.float32):
+            return network(batch.channels.contiguous(memory_format=self._order))

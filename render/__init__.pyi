@@ -1,0 +1,26 @@
+from .backend import select_variant
+from .farm.run import RunOptions, render_dataset, settings_for
+from .farm.status import read_status
+from .products.conversion import convert_to_itof, open_transient
+from .products.movie import write_movie
+from .products.preview import write_preview
+from .products.tal_export import export_tal
+from .products.verification import verify
+from .rendering import Renderer
+from .settings import RenderSettings
+
+__all__ = [
+    "RenderSettings",
+    "Renderer",
+    "RunOptions",
+    "convert_to_itof",
+    "export_tal",
+    "open_transient",
+    "read_status",
+    "render_dataset",
+    "select_variant",
+    "settings_for",
+    "verify",
+    "write_movie",
+    "write_preview",
+]

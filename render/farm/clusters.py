@@ -1,0 +1,207 @@
+"""Where jobs run: worker processes of this machine, an existing Dask scheduler, or jobs of a batch system."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib import import_module
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from render.backend import Device, gpu_ids, select_variant
+from scenegen import Refusal
+
+if TYPE_CHECKING:
+    from dask_jobqueue.core import JobQueueCluster
+    from distributed import Client
+
+# Batch systems of dask-jobqueue, by the name their section has in its configuration file.
+_SYSTEMS = {
+    "slurm": "SLURMCluster",
+    "pbs": "PBSCluster",
+    "sge": "SGECluster",
+    "lsf": "LSFCluster",
+    "moab": "MoabCluster",
+    "oar": "OARCluster",
+    "htcondor": "HTCondorCluster",
+}
+_CONFIG = {
+    # A worker's death is told to us at once: we count attempts at a scene ourselves (render.farm.claims).
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-saturation": 1.0,
+    # Our jobs hold pixels, not Dask's data: nothing to spill, and pausing would only stall the queue.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.profile.enabled": False,
+}
+# A local worker that is gone is started again by its nanny. Dask would close the nanny when that takes longer
+# than 15 s, as on a busy machine, and then nobody starts it any more.
+_LOCAL_CONFIG = {"distributed.deploy.lost-worker-timeout": "1 day"}
+_CONNECT_S = 10
+_ANY_LOCAL_PORT = "127.0.0.1:0"  # for the diagnostics page, whose usual port may be taken
+
+
+class ClusterError(Refusal):
+    """No workers to render with: a scheduler out of reach, or a cluster file that is not understood."""
+
+
+@contextmanager
+def connected(
+    *, workers: int | None, scheduler: str | None, cluster_file: Path | None, device: Device
+) -> Iterator[Client]:
+    """A Dask client with workers; what was started for it ends with the block.
+
+    Parameters
+    ----------
+    workers : worker processes of this machine, or jobs of the batch system; None for one a device or one job.
+    scheduler : address of a running scheduler, like ``tcp://host:8786``.
+    cluster_file : configuration of dask-jobqueue (YAML with ``jobqueue: slurm: ...``).
+
+    Raises
+    ------
+    ClusterError : both a scheduler and a file, an unreachable scheduler, a file that cannot be used.
+    BackendError : this machine cannot render on `device` (local workers only).
+    """
+    if scheduler and cluster_file:
+        raise ClusterError("give either --scheduler or --cluster: one joins a cluster, the other starts one")
+    import dask
+    from distributed import Client
+
+    _quieten()
+    is_local = not (scheduler or cluster_file)
+    with dask.config.set(_CONFIG | (_LOCAL_CONFIG if is_local else {})), ExitStack() as stack:
+        _leave_ctrl_c_to_us(stack)
+        if scheduler:
+            try:
+                client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
+            except (OSError, ValueError, ImportError) as error:
+                raise ClusterError(
+                    f"no Dask scheduler answers at {scheduler} ({' '.join(str(error).split())}): start one "
+                    "with dask scheduler, and workers with dask worker"
+                ) from None
+        else:
+            if cluster_file:
+                cluster = stack.enter_context(batch_cluster(cluster_file))
+                # adapt rather than scale: jobs whose time is up are submitted again
+                cluster.adapt(minimum_jobs=workers or 1, maximum_jobs=workers or 1)
+            else:
+                cluster = stack.enter_context(_local_cluster(workers, device))
+            client = Client(cluster, set_as_default=False)
+        stack.enter_context(client)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        yield client
+
+
+def batch_cluster(file: Path) -> JobQueueCluster:
+    """The cluster that a configuration file of dask-jobqueue describes; no job is submitted yet.
+
+    Raises
+    ------
+    ClusterError : no such file, not YAML, another number of systems than one, unknown keys.
+    """
+    system, options = _read_cluster_file(file)
+    cls = getattr(import_module("dask_jobqueue"), _SYSTEMS[system])
+    known = _known_options(cls)
+    unknown = sorted(set(options) - known)
+    if unknown:
+        raise ClusterError(
+            f"{file}: unknown key {unknown[0]} of jobqueue.{system}; known are {', '.join(sorted(known))}"
+        )
+    try:
+        made: JobQueueCluster = cls(**{"scheduler_options": {"dashboard_address": ":0"}, **options})
+    except (ValueError, TypeError, RuntimeError, OSError) as error:
+        raise ClusterError(f"{file}: {' '.join(str(error).split())}") from None
+    return made
+
+
+def _read_cluster_file(file: Path) -> tuple[str, dict[str, Any]]:
+    import yaml
+
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ClusterError(f"{file} cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ClusterError(f"{file} is no YAML: {' '.join(str(error).split())}") from None
+    sections = content.get("jobqueue") if isinstance(content, dict) else None
+    if not isinstance(sections, dict) or len(sections) != 1 or not set(sections) <= set(_SYSTEMS):
+        raise ClusterError(
+            f"{file} must have one section jobqueue.<system>, with <system> one of {', '.join(_SYSTEMS)}"
+        )
+    ((system, options),) = sections.items()
+    if not isinstance(options, dict):
+        raise ClusterError(f"{file}: jobqueue.{system} must hold keys like cores, memory and walltime")
+    missing = [key for key in ("cores", "memory") if options.get(key) is None]
+    if missing:
+        raise ClusterError(f"{file}: jobqueue.{system} needs {' and '.join(missing)} of a job")
+    named = {str(key).replace("-", "_"): value for key, value in options.items()}
+    if "name" in named:  # what dask-jobqueue's file calls name, its classes call job_name
+        named["job_name"] = named.pop("name")
+    return system, named
+
+
+def _known_options(cls: type) -> set[str]:
+    """Parameters of a cluster class, of its jobs, and of the base classes of both."""
+    classes = [*cls.__mro__, *cls.job_cls.__mro__]  # type: ignore[attr-defined]
+    return {
+        name
+        for each in classes
+        if each is not object and "__init__" in vars(each)
+        for name, parameter in inspect.signature(each.__init__).parameters.items()
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY) and name != "self"
+    }
+
+
+def _local_cluster(workers: int | None, device: Device) -> Any:
+    """Worker processes of this machine: one a GPU, each with its own, or sharing the CPU's threads."""
+    from distributed import LocalCluster, Nanny
+    from distributed.deploy.spec import SpecCluster
+    from distributed.scheduler import Scheduler
+
+    variant = select_variant(device)
+    gpus = gpu_ids() if variant.startswith("cuda") else []
+    count = workers or len(gpus) or 1
+    if not gpus:
+        threads = max(1, len(os.sched_getaffinity(0)) // count)
+        return LocalCluster(
+            n_workers=count,
+            threads_per_worker=threads,
+            dashboard_address=_ANY_LOCAL_PORT,
+            silence_logs=logging.CRITICAL,
+        )
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // count
+    options = {
+        "nthreads": 1,
+        "memory_limit": memory,
+        "host": "127.0.0.1",
+        "silence_logs": logging.CRITICAL,
+        "dashboard": False,
+    }
+    specs = {
+        i: {"cls": Nanny, "options": {**options, "env": {"CUDA_VISIBLE_DEVICES": gpus[i % len(gpus)]}}}
+        for i in range(count)
+    }
+    scheduler = {"cls": Scheduler, "options": {"host": "127.0.0.1", "dashboard_address": _ANY_LOCAL_PORT}}
+    return SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
+
+
+def _leave_ctrl_c_to_us(stack: ExitStack) -> None:
+    """Start threads and processes with SIGINT blocked, as they inherit it: Ctrl-C is for this thread."""
+    resource_tracker.ensure_running()  # it would unblock SIGINT in the thread that starts it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+
+
+def _quieten() -> None:
+    """Dask's log lines are about its processes; ours say what that means for the scenes."""
+    import distributed
+
+    named = [name for name in logging.root.manager.loggerDict if name.startswith(f"{distributed.__name__}.")]
+    for name in ("distributed", "dask_jobqueue", "tornado", "asyncio", *named):
+        logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -1,0 +1,203 @@
+"""One scene as a job: what a worker process does, and what it answers.
+
+Whatever goes wrong with a scene is an answer, not an exception, so that only the death of the worker itself
+reaches the scheduler. What is wrong with the machine rather than with the scene (a full disk, no device)
+stops the whole run.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from errno import EDQUOT, ENOSPC, EROFS
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from render.backend import BackendError
+from render.farm.claims import claimed
+from render.farm.inventory import Inventory
+from render.rendering import Renderer
+from render.settings import RenderSettings
+from scenegen import DatasetError, open_dataset, read_failure
+
+MAX_ATTEMPTS = 2
+Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]
+_HOPELESS = (ENOSPC, EDQUOT, EROFS)
+_LEAST_FREE_BYTES = 2**20  # below this, whatever went wrong while writing was the disk
+GROWTH_BYTES = 2**30  # a worker that has grown by this much since its first scene renews itself
+
+_one_at_a_time = threading.Lock()  # Mitsuba uses all threads of the process for one scene
+_state: dict[str, Any] = {}  # of this worker process: its renderer, and its memory after the first scene
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scene to render: in which dataset, how, for which run, and how much workers may grow by."""
+
+    root: str
+    settings: RenderSettings
+    scene_id: str
+    run_id: str
+    given_up_counts: bool = False  # a failure that another command has recorded meanwhile is an answer
+    growth_bytes: int = GROWTH_BYTES
+    night_version: str = field(default_factory=lambda: version("night-nlos"))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job.
+
+    Attributes
+    ----------
+    kind : ``rendered``; ``present``: it was already; ``elsewhere``: another process is at it; ``failed``:
+        this attempt failed; ``stop``: nothing can be rendered here.
+    reason : one sentence, of a failure or a stop.
+    log : traceback and warnings.
+    seconds : rendering time.
+    attributes : provenance of what was rendered.
+    worker : host and process.
+    final : another command has recorded this failure: nothing is to be tried again.
+    grown : Dask address of a worker that has grown too large, to be replaced by a fresh one; else empty.
+    """
+
+    scene_id: str
+    kind: Kind
+    reason: str = ""
+    log: str = ""
+    seconds: float = 0.0
+    attributes: dict[str, str] = field(default_factory=dict)
+    worker: str = field(default_factory=lambda: f"{socket.gethostname()}-{os.getpid()}")
+    final: bool = False
+    grown: str = ""
+
+
+def render_scene(job: Job) -> Outcome:
+    """Render the scene of a job unless it is done or somebody else is at it."""
+    if job.night_version != version("night-nlos"):
+        return Outcome(
+            job.scene_id,
+            "stop",
+            f"a worker has NIGHT {version('night-nlos')} and the command {job.night_version}: "
+            "install the same version on both",
+        )
+    with _one_at_a_time:
+        try:
+            renderer, inventory = _workshop(job)
+        except (BackendError, DatasetError, OSError) as error:
+            return Outcome(job.scene_id, "stop", _on_host(error))
+        try:
+            outcome = _render(job, renderer, inventory)
+        except OSError as error:
+            hopeless = error.errno in _HOPELESS or _free_bytes(Path(job.root)) < _LEAST_FREE_BYTES
+            reason = f"{error.filename or job.root}: {error.strerror or error}"
+            if hopeless:
+                reason = f"no space left for scene {job.scene_id} ({reason}): free some and start again"
+            return Outcome(job.scene_id, "stop" if hopeless else "failed", reason, traceback.format_exc())
+        except Exception as error:  # of any kind: one bad scene must not end the batch
+            reason = " ".join(str(error).split()).removeprefix(f"scene {job.scene_id}: ")
+            reason = reason or type(error).__name__
+            return Outcome(job.scene_id, "failed", reason, traceback.format_exc())
+        return replace(outcome, grown=_grown(job.growth_bytes))
+
+
+def _render(job: Job, renderer: Renderer, inventory: Inventory) -> Outcome:
+    with claimed(renderer.dataset.root / "renders", job.scene_id) as claim:
+        if claim is None:
+            return Outcome(job.scene_id, "elsewhere")
+        state = inventory.state(job.scene_id)
+        if state == "done":
+            claim.forget()
+            return Outcome(job.scene_id, "present")
+        failure = read_failure(renderer.dataset.render_folder(job.scene_id))
+        if job.given_up_counts and state == "failed" and failure is not None:
+            return Outcome(job.scene_id, "failed", failure.reason, final=True)
+        if claim.begin(job.run_id) > MAX_ATTEMPTS:  # a scheduler has sent it again after its worker died
+            return Outcome(job.scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times rendering it")
+        started = time.perf_counter()
+        with _collected_warnings() as warnings:
+            record = renderer.render(job.scene_id)
+        claim.forget()
+        seconds = time.perf_counter() - started
+        return Outcome(
+            job.scene_id, "rendered", log="\n".join(warnings), seconds=seconds, attributes=record.attributes
+        )
+
+
+def _workshop(job: Job) -> tuple[Renderer, Inventory]:
+    """Renderer of this worker process, made once: the kernels it compiles serve all scenes."""
+    key = (job.root, job.settings, job.run_id)
+    if not (Path(job.root) / "dataset.json").is_file():
+        raise DatasetError(f"{job.root} is no dataset that this worker sees: all need the same file system")
+    if _state.get("key") != key:
+        _use_threads()
+        dataset = open_dataset(Path(job.root))
+        _state.update(key=key, made=(Renderer(dataset, job.settings), Inventory(dataset, job.settings)))
+    made: tuple[Renderer, Inventory] = _state["made"]
+    return made
+
+
+def _use_threads() -> None:
+    """Give DrJit as many threads as the scheduler counts for this worker."""
+    worker = _dask_worker()
+    if worker is not None:
+        import drjit as dr
+
+        dr.set_thread_count(worker.state.nthreads)
+
+
+def _grown(growth_bytes: int) -> str:
+    """Address of this worker when a fresh process should take its place, else nothing."""
+    worker = _dask_worker()
+    if worker is None or worker.nanny is None:
+        return ""
+    import psutil
+
+    now = psutil.Process().memory_info().rss
+    first: int = _state.setdefault("memory", now)
+    return str(worker.address) if now > first + growth_bytes else ""
+
+
+def _dask_worker() -> Any:
+    """The Dask worker that runs this job; None outside of one."""
+    from distributed import get_worker
+
+    try:
+        return get_worker()
+    except ValueError:
+        return None
+
+
+@contextmanager
+def _collected_warnings() -> Iterator[list[str]]:
+    """What the renderer warns of, for the command's log instead of the worker's terminal."""
+    found: list[str] = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: found.append(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger("render")
+    propagate, logger.propagate = logger.propagate, False
+    logger.addHandler(handler)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = propagate
+
+
+def _on_host(error: BaseException) -> str:
+    return f"worker on {socket.gethostname()}: {' '.join(str(error).split())}"
+
+
+def _free_bytes(folder: Path) -> int:
+    try:
+        state = os.statvfs(folder)
+    except OSError:
+        return 0
+    return state.f_bavail * state.f_frsize

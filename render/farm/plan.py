@@ -1,0 +1,144 @@
+"""What a run will take: disk space by product, measured where scenes are there and estimated where not."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from itof import TransientLayout
+from render.settings import IMAGES, TRANSIENTS, RenderSettings
+from render.transport.many_light import ManyLight
+from scenegen import Dataset, read_record
+
+_PARTS = 3  # phasors of all light, of the direct and of the hidden part (many-light)
+_TRUTH_CHANNELS = 4  # of the ground truth: depth, mask, Re, Im
+_COMPONENTS = 2  # Re and Im
+_FLOAT_BYTES = 4
+# What is left of raw transients after lossless compression (docs/performance.md): many-light's are mostly
+# empty, path tracing noise is in every bin.
+_SPARSE, _DENSE = 0.09, 0.42
+_MEASURED_SCENES = 20  # are enough to know the size of the others
+_MARGIN = 1.05
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Disk space that rendering some scenes needs and has.
+
+    Attributes
+    ----------
+    scenes : how many are to be rendered.
+    image_bytes, transient_bytes : of one scene.
+    free_bytes : on the dataset's disk.
+    """
+
+    dataset: Dataset
+    settings: RenderSettings
+    scenes: int
+    image_bytes: int
+    transient_bytes: int
+    free_bytes: int
+
+    @property
+    def scene_bytes(self) -> int:
+        """Bytes of one scene with the product that is asked for."""
+        return self.image_bytes + (self.transient_bytes if self.settings.wants_transients else 0)
+
+    @property
+    def needed_bytes(self) -> int:
+        """Bytes of all scenes to be rendered, with a little more than the estimate."""
+        return int(_MARGIN * self.scenes * self.scene_bytes)
+
+    def sentences(self) -> list[str]:
+        """The plan for people to read."""
+        layout = self.settings.layout(self.dataset)
+        images, transients = (size(self.scenes * each) for each in (self.image_bytes, self.transient_bytes))
+        space = f"phasors and ground truth {images}, transients {transients}"
+        if not self.settings.wants_transients:
+            space = f"phasors and ground truth {images} (transients would be {transients} more)"
+        what = f"{self.scenes} scenes at {layout.width}x{layout.height}, {self.settings.method}"
+        return [
+            f"plan: {what}, product {self.settings.product}",
+            f"disk: {space}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
+        ]
+
+    def refusal(self) -> str | None:
+        """Why the plan does not fit the disk, and what would; None when it fits."""
+        if self.needed_bytes <= self.free_bytes:
+            return None
+        proposals = []
+        small = replace(self, settings=replace(self.settings, product="itof"))
+        if self.settings.wants_transients and small.needed_bytes <= self.free_bytes:
+            proposals.append(f"--product itof needs {size(small.needed_bytes)}")
+        resolution = self._fitting_resolution()
+        if resolution is not None:
+            proposals.append(f"--resolution {resolution} fits")
+        fitting = int(self.free_bytes / (_MARGIN * self.scene_bytes))
+        if fitting > 0:
+            proposals.append(f"{fitting} scenes fit")
+        advice = "; ".join([*proposals, "--ignore-space renders until the disk is full"])
+        return (
+            f"{self.scenes} scenes need about {size(self.needed_bytes)} and {size(self.free_bytes)} are free "
+            f"on the disk of {self.dataset.root}: {advice}"
+        )
+
+    def _fitting_resolution(self) -> str | None:
+        """The largest half, quarter, ... of the image size that fits."""
+        layout = self.settings.layout(self.dataset)
+        width, height = layout.width, layout.height
+        share = 1
+        while width % 2 == 0 and height % 2 == 0:
+            width, height, share = width // 2, height // 2, share * 4
+            if self.needed_bytes / share <= self.free_bytes:
+                return f"{width}x{height}"
+        return None
+
+
+def make_plan(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], done: Sequence[str]) -> Plan:
+    """Plan of rendering the scenes `todo`, from the sizes of `done` scenes where there are some."""
+    layout = settings.layout(dataset)
+    measured = [_measured(dataset, scene_id) for scene_id in done[:_MEASURED_SCENES]]
+    images = [sizes[0] for sizes in measured if sizes[0]]
+    transients = [sizes[1] for sizes in measured if sizes[1]]
+    return Plan(
+        dataset,
+        settings,
+        len(todo),
+        image_bytes=sum(images) // len(images) if images else _image_bytes(dataset, settings, layout),
+        transient_bytes=(
+            sum(transients) // len(transients) if transients else _transient_bytes(settings, layout)
+        ),
+        free_bytes=shutil.disk_usage(dataset.root).free,
+    )
+
+
+def size(count: float) -> str:
+    """Bytes as people write them, to three digits."""
+    for unit in ("bytes", "kB", "MB", "GB", "TB"):
+        if count < 999.5 or unit == "TB":
+            break
+        count /= 1000
+    return f"{count:.0f} {unit}" if count >= 999.5 else f"{count:.3g} {unit}"
+
+
+def _measured(dataset: Dataset, scene_id: str) -> tuple[int, int]:
+    """Bytes of a rendered scene's images and transients, by its record."""
+    record = read_record(dataset.render_folder(scene_id))
+    files = record.files if record is not None else {}
+    images, transients = (
+        sum(files[name].bytes for name in names if name in files) for names in (IMAGES, TRANSIENTS)
+    )
+    return images, transients
+
+
+def _image_bytes(dataset: Dataset, settings: RenderSettings, layout: TransientLayout) -> int:
+    parts = _PARTS if settings.method == ManyLight.name else 1
+    channels = parts * _COMPONENTS * len(dataset.preset.itof.frequencies_hz) + _TRUTH_CHANNELS
+    return _FLOAT_BYTES * layout.width * layout.height * channels  # phasors do not compress
+
+
+def _transient_bytes(settings: RenderSettings, layout: TransientLayout) -> int:
+    left = _SPARSE if settings.method == ManyLight.name else _DENSE
+    pair = 2 * layout.width * layout.height * layout.bin_count  # of scene and mirrored scene, no path
+    return int(left * _FLOAT_BYTES * pair)

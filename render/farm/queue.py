@@ -1,0 +1,200 @@
+"""The queue of scenes: hands jobs to workers, retries what died, records what failed twice.
+
+The files are the truth and the scheduler is only hands: jobs are given out a few at a time, every answer is
+a file already, and whoever starts again finds in the files what is left to do.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue as threads_queue
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import CancelledError
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from render.farm.claims import attempts_of
+from render.farm.inventory import known_recipe
+from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
+from render.settings import RenderSettings
+from scenegen import Dataset, FailureRecord, Refusal, write_failure
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_WAIT_S = 1.0  # between looks at whether another command has finished its scenes
+_COUNT_S = 1.0  # between counts of the workers
+PATIENCE_S = 600.0  # without any worker before the command gives up
+_RESTART_S = 60  # for a fresh worker process to come up
+_MOST_UNBEGUN_DEATHS = 5  # workers that die before they begin a scene
+
+log = logging.getLogger(__name__)
+
+
+class QueueError(Refusal):
+    """Rendering cannot go on: a full disk, no device, no worker, no scheduler."""
+
+
+@dataclass
+class Tally:
+    """What became of the scenes of a run: how many of each kind, and why some failed."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class RenderQueue:
+    """Renders scenes on the workers of a Dask client.
+
+    Attributes
+    ----------
+    client : connected to a scheduler whose workers see the dataset folder under the same path.
+    dataset, settings : what to render and how.
+    run_id : name of this run; attempts at a scene are counted for each run.
+    on_outcome : called with every answer of a worker, and `final` when the scene is through.
+    growth_bytes : what a worker may grow by before it makes way for a fresh one.
+    patience_s : how long to wait for any worker at all; None for ever, since batch systems let jobs queue.
+    work : what a worker does with a job.
+    """
+
+    client: Client
+    dataset: Dataset
+    settings: RenderSettings
+    run_id: str
+    on_outcome: Callable[[Outcome, bool], None]
+    growth_bytes: int = GROWTH_BYTES
+    patience_s: float | None = PATIENCE_S
+    work: Callable[[Job], Outcome] = render_scene
+    tally: Tally = field(default_factory=Tally)
+
+    def run(self, scenes: Iterable[str]) -> Tally:
+        """Render all `scenes`; returns when each is done, recorded as failed, or done by another command.
+
+        Raises
+        ------
+        QueueError : nothing can be rendered any more; what is done stays.
+        """
+        waiting, elsewhere = deque(scenes), deque[str]()
+        answers: threads_queue.SimpleQueue[Future] = threads_queue.SimpleQueue()
+        active: dict[Future, str] = {}
+        failed, returned = _Failures(), set[str]()
+        idle_since = counted = time.monotonic()
+        slots = self._slots()
+        while waiting or active or elsewhere:
+            if time.monotonic() - counted > _COUNT_S:  # asking costs more than handing out a job
+                slots, counted = self._slots(), time.monotonic()
+            while waiting and len(active) < slots:
+                scene_id = waiting.popleft()
+                future = self._submit(scene_id, scene_id in returned)
+                active[future] = scene_id
+                future.add_done_callback(answers.put)
+            if not waiting and not active:
+                time.sleep(_WAIT_S)
+                returned.update(elsewhere)
+                waiting, elsewhere = elsewhere, deque[str]()
+                continue
+            try:
+                future = answers.get(timeout=_WAIT_S)
+            except threads_queue.Empty:
+                idle_since = self._checked_idle(idle_since)
+                continue
+            scene_id = active.pop(future)
+            idle_since = time.monotonic()
+            outcome = self._answer(future, scene_id, failed)
+            if outcome.grown:
+                self._renew(outcome.grown)
+            if outcome.kind == "stop":
+                raise QueueError(outcome.reason)
+            if outcome.kind == "elsewhere":
+                elsewhere.append(scene_id)
+            elif outcome.kind == "failed" and not self._is_final(outcome, failed):
+                self.on_outcome(outcome, False)
+                waiting.append(scene_id)
+            else:
+                self._settle(outcome, failed)
+        return self.tally
+
+    def _submit(self, scene_id: str, returned: bool) -> Future:
+        root = str(self.dataset.root.resolve())
+        job = Job(root, self.settings, scene_id, self.run_id, returned, self.growth_bytes)
+        return self.client.submit(self.work, job, pure=False, retries=0)
+
+    def _slots(self) -> int:
+        """How many jobs to hand out: one a worker process, which renders one scene at a time."""
+        return max(1, len(self.client.nthreads()))
+
+    def _checked_idle(self, since: float) -> float:
+        """Since when there has been no worker; `QueueError` after too long."""
+        if self.client.status != "running":
+            raise QueueError("the connection to the Dask scheduler was lost: start again to go on")
+        if self.client.nthreads():
+            return time.monotonic()
+        if self.patience_s is not None and time.monotonic() - since > self.patience_s:
+            raise QueueError(
+                f"no worker has come up within {self.patience_s / 60:.0f} minutes: look at the workers' logs"
+            )
+        return since
+
+    def _answer(self, future: Future, scene_id: str, failed: _Failures) -> Outcome:
+        from distributed import KilledWorker
+
+        try:
+            outcome: Outcome = future.result()
+        except KilledWorker as error:
+            failed.deaths[scene_id] += 1
+            where = getattr(error.last_worker, "address", "")
+            reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
+            return Outcome(scene_id, "failed", reason, f"{error}\n", worker=where)
+        except CancelledError:
+            reason = "the connection to the Dask scheduler was lost: start again to go on"
+            return Outcome(scene_id, "stop", reason)
+        except Exception as error:  # whatever a worker without NIGHT, or Dask itself, can raise
+            what = " ".join(str(error).split()) or type(error).__name__
+            reason = f"the workers cannot take jobs ({what}): is the same NIGHT installed where they run?"
+            return Outcome(scene_id, "stop", reason)
+        finally:
+            future.release()
+        failed.answers[scene_id] += outcome.kind == "failed"
+        return outcome
+
+    def _renew(self, address: str) -> None:
+        """Put a fresh process in a worker's place; it has no job now, or loses one that had not begun."""
+        try:
+            self.client.restart_workers([address], timeout=_RESTART_S, raise_for_error=False)
+        except (OSError, ValueError, TimeoutError) as error:  # it may have gone by itself
+            log.info("worker %s was not renewed: %s", address, " ".join(str(error).split()))
+
+    def _is_final(self, outcome: Outcome, failed: _Failures) -> bool:
+        """Whether a scene has had its attempts; a worker that died before it began does not count."""
+        scene_id = outcome.scene_id
+        begun = attempts_of(self.dataset.root / "renders", scene_id, self.run_id)
+        return (
+            outcome.final
+            or max(begun, failed.answers[scene_id]) >= MAX_ATTEMPTS
+            or failed.deaths[scene_id] >= _MOST_UNBEGUN_DEATHS
+        )
+
+    def _settle(self, outcome: Outcome, failed: _Failures) -> None:
+        self.tally.counts[outcome.kind] += 1
+        if outcome.kind == "failed":
+            scene_id = outcome.scene_id
+            self.tally.failures[scene_id] = outcome.reason
+            if not outcome.final:
+                failure = FailureRecord(
+                    recipe=known_recipe(self.dataset, self.settings, scene_id),
+                    attempts=failed.answers[scene_id] + failed.deaths[scene_id],
+                    reason=outcome.reason,
+                )
+                write_failure(self.dataset.render_folder(scene_id), failure, outcome.log)
+        self.on_outcome(outcome, True)
+
+
+@dataclass
+class _Failures:
+    """How often each scene failed: by an answer, or by the death of its worker."""
+
+    answers: Counter[str] = field(default_factory=Counter)
+    deaths: Counter[str] = field(default_factory=Counter)

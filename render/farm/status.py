@@ -1,0 +1,121 @@
+"""How far a dataset is rendered, read from its files: no scheduler is asked."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import median_low
+
+from render.farm.claims import running
+from render.farm.inventory import Inventory, State
+from render.farm.plan import size
+from render.settings import RenderSettings
+from scenegen import RECORD_FILE, Dataset, read_failure, read_record
+
+_LATEST = 200  # scenes whose pace counts
+_LISTED = 10  # failures that are named
+_PAUSE_S = 60.0  # between scenes, beyond which the pace is that of another run
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a dataset's renders stand.
+
+    Attributes
+    ----------
+    counts : scenes by state (`render.farm.inventory.State`).
+    running : scenes that some process works on now.
+    failures : reason by scene.
+    used_bytes, free_bytes : of the recorded files, and of the disk.
+    scenes_per_hour : pace of the latest scenes; None when nothing is being rendered.
+    """
+
+    counts: Counter[State]
+    running: list[str]
+    failures: dict[str, str]
+    used_bytes: int
+    free_bytes: int
+    scenes_per_hour: float | None
+
+    @property
+    def missing(self) -> int:
+        """Scenes that are still to be rendered, those being rendered now included."""
+        return self.counts["missing"] + self.counts["damaged"] + self.counts["other"]
+
+    def sentences(self) -> list[str]:
+        """The status for people to read."""
+        total = sum(self.counts.values())
+        waiting = max(0, self.missing - len(self.running))
+        parts = [
+            f"{self.counts['done']} done",
+            f"{len(self.running)} running",
+            f"{self.counts['failed']} failed",
+            f"{waiting} missing",
+        ]
+        lines = [f"{total} scenes: {', '.join(parts)}"]
+        if self.counts["damaged"]:
+            lines.append(f"of the missing, {self.counts['damaged']} are there but damaged")
+        if self.counts["other"]:
+            lines.append(f"of the missing, {self.counts['other']} are rendered with other settings")
+        lines.append(f"disk: {size(self.used_bytes)} used by renders, {size(self.free_bytes)} free")
+        if self.scenes_per_hour and self.missing:
+            left = duration(3600 * self.missing / self.scenes_per_hour)
+            lines.append(f"pace: {self.scenes_per_hour:.0f} scenes an hour; about {left} left")
+        listed = sorted(self.failures.items())[:_LISTED]
+        lines += [f"failed: {scene_id}: {reason}" for scene_id, reason in listed]
+        if len(self.failures) > len(listed):
+            lines.append(f"failed: and {len(self.failures) - len(listed)} more")
+        return lines
+
+
+def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str]) -> Status:
+    """Status of scenes of a dataset under `settings`."""
+    states = Inventory(dataset, settings).states(scenes)
+    failures, used, times = {}, 0, []
+    for scene_id, state in states.items():
+        folder = dataset.render_folder(scene_id)
+        failure = read_failure(folder) if state == "failed" else None
+        if failure is not None:
+            failures[scene_id] = failure.reason
+        record = read_record(folder)
+        if record is None:
+            continue
+        used += sum(file.bytes for file in record.files.values())
+        with suppress(FileNotFoundError):  # it may be about to be rendered again
+            times.append((folder / RECORD_FILE).stat().st_mtime)
+    now_running = running(dataset.root / "renders")
+    return Status(
+        counts=Counter(states.values()),
+        running=now_running,
+        failures=failures,
+        used_bytes=used,
+        free_bytes=shutil.disk_usage(dataset.root).free,
+        scenes_per_hour=_pace(times) if now_running else None,
+    )
+
+
+def duration(seconds: float) -> str:
+    """A time span as people say it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"
+
+
+def _pace(times: list[float]) -> float | None:
+    """Scenes an hour over the latest ones, up to now; what came before a long pause does not count."""
+    latest = sorted(times)[-_LATEST:]
+    gaps = [after - before for before, after in pairwise(latest)]
+    if not gaps:
+        return None
+    pauses = [index for index, gap in enumerate(gaps) if gap > _PAUSE_S + 10 * median_low(gaps)]
+    if pauses:
+        latest = latest[pauses[-1] + 1 :]
+    span = time.time() - latest[0]
+    return 3600 * (len(latest) - 1) / span if len(latest) > 1 and span > 0 else None

@@ -1,0 +1,217 @@
+"""The dataset card: a README.md that says what a dataset holds, how it was made, and how to read it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from itof import unambiguous_range_m
+from render.farm.plan import size
+from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
+from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT
+from scenegen import Dataset, Preset, Refusal
+
+CARD_FILE = "README.md"
+CONTACT_SHEET, DISTRIBUTIONS = "preview/contact_sheet.png", "preview/distributions.png"
+_MARK = re.compile(r"<!-- night-gen preview writes this file; licence: (?P<licence>.*) -->")
+
+
+class CardError(Refusal):
+    """A licence that cannot stand in a card."""
+
+
+@dataclass(frozen=True)
+class EarlierCard:
+    """What stands in a dataset's README.md before it is written: whether it is ours, and its licence."""
+
+    is_ours: bool
+    licence: str | None
+
+
+def read_card(dataset: Dataset) -> EarlierCard:
+    """The card that a dataset has; where there is none, one of ours without a licence."""
+    file = dataset.root / CARD_FILE
+    if not file.exists():
+        return EarlierCard(is_ours=True, licence=None)
+    mark = _MARK.search(file.read_text(encoding="utf-8", errors="replace")) if file.is_file() else None
+    try:
+        licence = json.loads(mark["licence"]) if mark else None
+    except json.JSONDecodeError:
+        licence = None
+    return EarlierCard(is_ours=mark is not None, licence=licence if isinstance(licence, str) else None)
+
+
+def checked_licence(licence: str) -> str:
+    """A licence in one line; `CardError` when there is nothing in it."""
+    words = " ".join(licence.split())
+    if not words.isprintable() or not words:
+        raise CardError('--licence needs the name of a licence, like "CC BY 4.0"')
+    return words
+
+
+def dataset_card(dataset: Dataset, found: Distributions, licence: str | None) -> str:
+    """Markdown text of the card; it holds nothing of the machine it is made on."""
+    name = dataset.root.resolve().name
+    # A comment of HTML ends at the first "--"; JSON may write that otherwise.
+    kept = json.dumps(licence).replace("--", "\\u002d\\u002d").replace(">", "\\u003e")
+    parts = [
+        f"# {name}",
+        f"<!-- night-gen preview writes this file; licence: {kept} -->",
+        _about(dataset, found),
+        f"![Scenes from outside, as measured, and in ground truth]({CONTACT_SHEET})",
+        f"## Scenes\n\n{_class_table(found)}",
+        f"![What the scenes are drawn from]({DISTRIBUTIONS})",
+        f"## Figures\n\n{_table(('', ''), _facts(dataset, found))}",
+        f"## How it was made\n\n{_making(dataset)}",
+        f"## How to read it\n\n{_reading(dataset, found)}",
+        f"## Licence\n\n{_licence_text(licence)}",
+        f"## Citation\n\n{_CITATION}",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _about(dataset: Dataset, found: Distributions) -> str:
+    rendered = len(found.object_pixels)
+    return (
+        f"{len(dataset.ids())} synthetic look-behind-a-corner scenes, {rendered} of them rendered: an "
+        "indirect time-of-flight camera looks at a wall, and a small part of the light that comes back has "
+        "met an object hidden behind a corner. Each rendered scene has what the camera measures and, as "
+        "ground truth, the radial depth that it would see if the wall were a mirror. Made with NIGHT."
+    )
+
+
+def _class_table(found: Distributions) -> str:
+    rows = [
+        (name, *(str(counts[split]) for split in SPLITS), str(sum(counts.values())))
+        for name, counts in found.class_counts.items()
+    ]
+    sums = [sum(counts[split] for counts in found.class_counts.values()) for split in SPLITS]
+    rows.append(("all", *map(str, sums), str(sum(sums))))
+    return _table(("class", *SPLITS, "all"), rows)
+
+
+def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
+    preset, rendering = dataset.preset, dataset.index.rendering
+    camera, axis = preset.camera, preset.transient
+    asked = f"{camera.width} x {camera.height} pixels asked for"
+    rendered = f"{size_text(found.image_sizes)} rendered" if found.image_sizes else "none rendered"
+    bins = (
+        f"{axis.bin_count} bins of {axis.bin_width_m:g} m optical path length (out and back), from "
+        f"{axis.start_opl_m:g} m"
+    )
+    error = "not recorded"
+    if rendering is not None and rendering.hidden_error_median is not None:
+        error = f"median {rendering.hidden_error_median:.2%}"
+        if rendering.hidden_error_max is not None:
+            error += f", at most {rendering.hidden_error_max:.2%}"
+    hertz = ", ".join(f"{frequency_hz / 1e6:g} MHz" for frequency_hz in preset.itof.frequencies_hz)
+    unambiguous_m = float(unambiguous_range_m(preset.itof.frequencies_hz[0]))
+    return [
+        ("images", f"{asked}, {rendered}; horizontal field of view {camera.horizontal_fov_deg:g} degrees"),
+        ("frequencies", f"{hertz}; the first is unambiguous over {unambiguous_m:.2f} m of depth"),
+        ("time axis", bins),
+        ("light paths", f"at most {axis.max_bounces} surfaces"),
+        ("pixels", ratio_sentence(found)),
+        ("estimated error of the hidden signal", error),
+        ("disk used", ", ".join(f"{name} {size(count)}" for name, count in _disk(dataset.root))),
+    ]
+
+
+def _making(dataset: Dataset) -> str:
+    index, rendering = dataset.index, dataset.index.rendering
+    made = [("scenes by", f"{index.generator} {index.generator_version}, Blender {index.blender_version}")]
+    made.append(("seed", f"{index.seed}; scene *i* depends on the seed and *i* alone"))
+    if index.packages:
+        made.append(("packages of the scenes", _versions(index.packages)))
+    made += [(f"mesh `{shape}`", f"SHA-256 {digest}") for shape, digest in index.meshes.items()]
+    if rendering is None:
+        made.append(("rendering", "dataset.json has no record of it"))
+    else:
+        options = ", ".join(
+            f"{name} {value}" for name, value in rendering.options.items() if value is not None
+        )
+        made += [
+            ("rendering", f"method {rendering.method} ({options}), product {rendering.product}"),
+            (
+                "rendered images",
+                f"{rendering.width} x {rendering.height} pixels, {rendering.scene_count} scenes",
+            ),
+            ("light paths rendered", f"at most {rendering.max_bounces} surfaces"),
+            ("packages of the renders", _versions(rendering.packages)),
+        ]
+    changes = dict(_differences(index.preset))
+    if set(changes) <= {"dataset.count", "dataset.seed"}:
+        count = index.preset.dataset.count
+        made.append(
+            ("to make the scenes again", f"`night-gen scenes OUT --count {count} --seed {index.seed}`")
+        )
+    else:
+        made += [(f"preset key `{key}`", f"`{value}`") for key, value in changes.items()]
+    return (
+        f"{_table(('', ''), made)}\n\nPreset keys that do not stand here have the paper's value; all of them "
+        "are in `dataset.json`."
+    )
+
+
+def _reading(dataset: Dataset, found: Distributions) -> str:
+    scene_id = next(iter(found.object_pixels), dataset.ids()[0])
+    return f"""Each scene has a folder of its own, all images are OpenEXR files of 32-bit floats.
+
+- `dataset.json`: the scene list (id, class, split) and the preset
+- `scenes/{scene_id}/`: the scene as data, and as Mitsuba 3 files with their meshes
+- `renders/{scene_id}/{MEASUREMENT}`: complex phasors `itof.<f>MHz.Re`, `.Im`
+- `renders/{scene_id}/{GROUND_TRUTH}`: `depth.R` (radial depth in metres, 0 on background), `mask.M`
+- `renders/{scene_id}/{SCENE_TRANSIENT}`: the measurement over time, if it was rendered
+
+```python
+from itof import depth_from_phase, phase, read_image
+
+z, frequencies_hz = read_image("renders/{scene_id}/{MEASUREMENT}").phasors()  # (H, W, F) complex
+wall_depth_m = depth_from_phase(phase(z[..., 0]), frequencies_hz[0])
+hidden_depth_m = read_image("renders/{scene_id}/{GROUND_TRUTH}").channel("depth.R")  # (H, W)
+```"""
+
+
+def _licence_text(licence: str | None) -> str:
+    if licence is not None:
+        return licence
+    return 'None has been chosen yet. Set one with `night-gen preview DATASET --licence "CC BY 4.0"`.'
+
+
+_CITATION = """The scenes follow
+
+> M. Caligiuri, A. Simonetto, P. Zanuttigh: *NIGHT - Non-Line-of-Sight Imaging from Indirect Time of Flight
+> Data*. European Conference on Computer Vision Workshops (ECCV-W), 2024. arXiv 2403.19376."""
+
+
+def _differences(preset: Preset) -> Iterator[tuple[str, str]]:
+    """Keys of a preset whose values are not the paper's, which are the defaults."""
+    ours, papers = _flat(asdict(preset)), _flat(asdict(Preset()))
+    yield from ((key, json.dumps(value)) for key, value in ours.items() if value != papers[key])
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return flat
+
+
+def _disk(root: Path) -> Iterator[tuple[str, int]]:
+    """Bytes in the folders that a dataset has."""
+    for name in ("scenes", "renders", "shards"):
+        if (root / name).is_dir():
+            yield name, sum(file.stat().st_size for file in (root / name).rglob("*") if file.is_file())
+
+
+def _versions(packages: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in packages.items())
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)

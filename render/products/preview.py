@@ -1,0 +1,120 @@
+"""A dataset's preview: contact sheet, distributions and card, written into its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from render.products.card import (
+    CARD_FILE,
+    CONTACT_SHEET,
+    DISTRIBUTIONS,
+    checked_licence,
+    dataset_card,
+    read_card,
+)
+from render.products.contact_sheet import PICTURE_SIZE, contact_sheet, read_tile
+from render.products.distributions import distributions_figure, read_distributions
+from render.settings import RenderError
+from scenegen import Dataset, Scene, rotation_matrix, whole_file, write_text
+from scenegen.making.meshes import UserMesh
+from scenegen.preset import MESH_PREFIX
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Picture = Callable[[Scene, int, int], NDArray[np.uint8]]
+_DOTS_PER_INCH = 110
+
+
+def write_preview(
+    dataset: Dataset,
+    ids: Sequence[str],
+    picture: Picture,
+    licence: str | None = None,
+    on_step: Callable[[], object] = lambda: None,
+) -> list[Path]:
+    """Write the preview of a dataset; returns the files that were written.
+
+    A README.md that is not ours is kept, and then not among them.
+
+    Parameters
+    ----------
+    ids : scenes of the contact sheet.
+    picture : (scene, width, height) to an (H, W, 3) view; `scenegen.making.blender.BlenderMaker.picture`.
+    licence : of the dataset, for its card; None keeps the one that the card has.
+    on_step : called once for every scene of the dataset and once more for every one of `ids`.
+
+    Raises
+    ------
+    CardError : a licence that is empty.
+    ImageFileError, RenderError : a damaged render.
+    DatasetError, PresetError : a scene that is gone or damaged.
+    """
+    chosen = None if licence is None else checked_licence(licence)
+    found = read_distributions(dataset, on_step)
+    tiles = []
+    for scene_id in ids:
+        tiles.append(read_tile(dataset, scene_id, picture(dataset.scene(scene_id), *PICTURE_SIZE)))
+        on_step()
+    written = [
+        _write_figure(dataset.root / CONTACT_SHEET, contact_sheet(tiles)),
+        _write_figure(dataset.root / DISTRIBUTIONS, distributions_figure(found, dataset.preset)),
+    ]
+    earlier = read_card(dataset)
+    if earlier.is_ours:
+        write_text(dataset.root / CARD_FILE, dataset_card(dataset, found, chosen or earlier.licence))
+        written.append(dataset.root / CARD_FILE)
+    return written
+
+
+def check_preview(dataset: Dataset, ids: Sequence[str], licence: str | None) -> None:
+    """Raise what `write_preview` would of a licence and of the renders of `ids`, without drawing anything."""
+    if licence is not None:
+        checked_licence(licence)
+    width, height = PICTURE_SIZE
+    for scene_id in ids:
+        read_tile(dataset, scene_id, np.zeros((height, width, 3), np.uint8))
+
+
+def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
+    """The users' meshes that a dataset's scenes show, by shape, from the scenes' own files.
+
+    The files they were made from need not be there any more.
+
+    Raises
+    ------
+    RenderError : a scene's mesh is gone or damaged.
+    """
+    wanted = {s for s in dataset.preset.hidden_object.shapes if s.startswith(MESH_PREFIX)}
+    meshes: dict[str, UserMesh] = {}
+    for scene_id in dataset.ids():
+        if wanted <= set(meshes):
+            break
+        for number, part in enumerate(dataset.scene(scene_id).hidden_objects):
+            if part.shape not in wanted - set(meshes):
+                continue
+            file = dataset.scene_folder(scene_id) / f"hidden_object_{number}.ply"
+            try:
+                solid = trimesh.load_mesh(file, process=False)
+            except (OSError, ValueError) as error:
+                raise RenderError(f"{file} cannot be read ({error}): run night-gen scenes again") from None
+            local = (solid.vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
+            meshes[part.shape] = UserMesh(
+                vertices=np.asarray(local, np.float32),
+                triangles=np.asarray(solid.faces, np.int32),
+                outermost=np.arange(len(local)),
+                sha256=dataset.index.meshes.get(part.shape, ""),
+            )
+    return meshes
+
+
+def _write_figure(file: Path, figure: Figure) -> Path:
+    with whole_file(file) as partial:
+        figure.savefig(partial, format="png", dpi=_DOTS_PER_INCH)
+    return file

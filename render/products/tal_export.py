@@ -1,0 +1,156 @@
+"""A scene's transient as an HDF5 file for y-tal, the toolbox of the Zaragoza transient imaging group.
+
+Layout: ``NLOSCaptureData`` of y-tal 0.20 (https://github.com/diegoroyo/tal), its file format HDF5_TAL.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof import TransientLayout, TransientReader, pixel_rays
+from render.products.conversion import ExportError, exported_file, open_transient
+from scenegen import Dataset, Scene, camera_axes, rotation_matrix, wall_normal
+
+if TYPE_CHECKING:
+    import h5py
+
+# tal's enumerations, as its files name them.
+_H_FORMAT = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
+_GRID_FORMAT = {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2}
+_VOLUME_FORMAT = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
+_CHUNK_BINS, _CHUNK_COLUMNS, _CHUNK_ROWS = 250, 32, 8  # 256 kB: a few fit HDF5's cache of 1 MB
+_LASER_NOTE = (
+    "The projector lights its whole field at once, and tal knows only points: laser_grid_xyz is the one "
+    "point on the projector's optical axis. Reconstructions that take it for the only lit point see an "
+    "illumination that is spread over the wall, so they are blurred and displaced."
+)
+
+
+def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
+    """Write a scene's ``transient.exr`` as a capture that ``tal.io.read_capture`` reads.
+
+    ============================  ==========================================================================
+    ``H``                         (T, W, H) float32, axes T_Sx_Sy: time, image column from the left, image
+                                  row from the top; gzip
+    ``sensor_xyz, laser_xyz``     (3,) camera and projector
+    ``sensor_grid_xyz``           (W, H, 3) where the ray of a pixel's centre meets the relay wall's plane
+    ``laser_grid_xyz``            (1, 1, 3) where the projector's optical axis does
+    ``*_grid_normals``            the relay wall's normal at each of these points, towards camera and object
+    ``delta_t``                   bin width, optical path length
+    ``t_start``                   where the first bin *begins* (tal takes the integer part of
+                                  (length - t_start) / delta_t as the bin)
+    ``scene_info``                YAML: units, provenance, and how far the capture is not what tal expects
+    ============================  ==========================================================================
+
+    All lengths are metres in the scene's world axes. Lengths count from projector to camera
+    (``t_accounts_first_and_last_bounces``), and the wall's direct return is in ``H`` like everything else.
+
+    tal knows laser *points*, and our projector lights its whole field at once. One point stands for it, on
+    its optical axis: the hidden object's light really comes from all of the lit wall, so reconstructions,
+    which take the point for the only source, are blurred and displaced.
+
+    Raises
+    ------
+    ExportError : no transient, a camera or projector that looks past the relay wall, or a file that cannot
+        be written.
+    """
+    import h5py
+
+    scene = dataset.scene(scene_id)
+    with open_transient(dataset, scene_id) as reader:
+        fields = _geometry(scene, reader.layout)
+        with exported_file(out) as partial, h5py.File(partial, "w") as file:
+            for name, value in fields.items():
+                file[name] = value
+            for name, members, chosen in (
+                ("H_format", _H_FORMAT, "T_Sx_Sy"),
+                ("sensor_grid_format", _GRID_FORMAT, "X_Y_3"),
+                ("laser_grid_format", _GRID_FORMAT, "X_Y_3"),
+                ("volume_format", _VOLUME_FORMAT, "UNKNOWN"),
+            ):
+                kind = h5py.enum_dtype(members, basetype="i")
+                file.create_dataset(name, data=np.array([members[chosen]], "i"), dtype=kind)
+            file["delta_t"] = reader.layout.bin_width_m
+            file["t_start"] = reader.layout.start_opl_m
+            file["t_accounts_first_and_last_bounces"] = True
+            file["scene_info"] = _scene_info(dataset, scene, reader)
+            _write_bins(file, reader)
+
+
+def _write_bins(file: h5py.File, reader: TransientReader) -> None:
+    """Write ``H``, in blocks of whole chunks of image rows, so that each chunk is compressed once."""
+    axis = reader.layout
+    shape = (axis.bin_count, axis.width, axis.height)
+    chunks = tuple(map(min, shape, (_CHUNK_BINS, _CHUNK_COLUMNS, _CHUNK_ROWS)))
+    bins = file.create_dataset(
+        "H", shape, np.float32, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True
+    )
+    step = max(1, axis.rows_per_block // chunks[2]) * chunks[2]
+    row = 0
+    for block in reader.row_blocks(step):  # (rows, W, T)
+        bins[:, :, row : row + len(block)] = block.transpose(2, 1, 0)
+        row += len(block)
+
+
+def _geometry(scene: Scene, layout: TransientLayout) -> dict[str, NDArray[np.float32]]:
+    """Places and normals, (3,) and (X, Y, 3) float32."""
+    camera, emitter, wall = scene.camera, scene.emitter, scene.relay_wall
+    rays = pixel_rays(layout.width, layout.height, camera.horizontal_fov_deg) @ camera_axes(camera)
+    axis = -rotation_matrix(emitter.rotation_deg)[:, 2]  # Blender looks along its own -z
+    sensor_grid = _on_wall(scene, camera.location_m, rays.swapaxes(0, 1), "the camera")  # (W, H, 3)
+    laser_grid = _on_wall(scene, emitter.location_m, axis[None, None], "the projector")  # (1, 1, 3)
+    normal = wall_normal(wall)
+    fields: dict[str, Any] = {
+        "sensor_xyz": camera.location_m,
+        "sensor_grid_xyz": sensor_grid,
+        "sensor_grid_normals": np.broadcast_to(normal, sensor_grid.shape),
+        "laser_xyz": emitter.location_m,
+        "laser_grid_xyz": laser_grid,
+        "laser_grid_normals": np.broadcast_to(normal, laser_grid.shape),
+    }
+    return {name: np.asarray(value, np.float32) for name, value in fields.items()}
+
+
+def _on_wall(
+    scene: Scene, origin_m: tuple[float, float, float], rays: NDArray[np.float64], who: str
+) -> NDArray[np.float64]:
+    """Where (..., 3) rays from `origin_m` meet the plane of the relay wall."""
+    origin, normal = np.array(origin_m), wall_normal(scene.relay_wall)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        length_m = ((np.array(scene.relay_wall.location_m) - origin) @ normal) / (rays @ normal)
+    if not (np.isfinite(length_m) & (length_m > 0)).all():
+        raise ExportError(
+            f"scene {scene.id}: {who} looks past the plane of the relay wall, and a capture for tal needs "
+            "a point on the wall for every pixel"
+        )
+    points: NDArray[np.float64] = origin + rays * length_m[..., None]
+    return points
+
+
+def _scene_info(dataset: Dataset, scene: Scene, reader: TransientReader) -> str:
+    import yaml
+
+    info = {
+        "original_format": f"transient.exr of NIGHT {version('night-nlos')}",
+        "scene_id": scene.id,
+        "object_class": scene.object_class,
+        "split": scene.split,
+        "dataset_seed": scene.dataset_seed,
+        "dataset_generator": f"{dataset.index.generator} {dataset.index.generator_version}",
+        "frequencies_hz": list(dataset.preset.itof.frequencies_hz),
+        "units": {
+            "H": "radiance per bin, W m^-2 sr^-1, for a projector of irradiance scale 1",
+            "lengths": "metres; delta_t and t_start are optical path length",
+            "axes": "world, z up; Sx is the image column from the left, Sy the image row from the top",
+        },
+        "splat": reader.attributes.get("splat", "point"),
+        "laser": _LASER_NOTE,
+        "attributes": reader.attributes,
+    }
+    text: str = yaml.safe_dump(info, sort_keys=False)
+    return text

@@ -1,0 +1,98 @@
+"""Arrivals by interreflection: light that met the hidden objects more than once.
+
+With three bounces light goes emitter - wall - point - wall - camera. Each bounce more lengthens the part
+before the point: over another place of the hidden object, or over the object and the wall again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.transport.hidden_surface import SurfacePoints, hidden_shapes
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+_RAYS = 64  # from each side of each point
+
+
+def reflected_arrivals(
+    scene: mi.Scene, points: SurfacePoints, extra_bounces: int, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Irradiance at the points by paths with 1 to `extra_bounces` vertices more, (M, K) with OPL (M, K).
+
+    From each point, cosine-distributed rays are traced backwards; each hidden vertex they find adds what one
+    random point of the lit wall sends over it, and the walk goes on by the vertex's own BSDF. The estimate is
+    unbiased: E = π / R sum of the radiance found. Positive on the side of the normal, else negative.
+
+    Vertices on the wall only pass the walk on: light that meets the wall twice in a row is left out, which is
+    exact for a plane wall.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    from render.transport.kernels import on_shapes, upload_points
+
+    rays = 2 * _RAYS  # both sides of a point, not a path length
+    count = dr.opaque(mi.UInt32, rays)
+    lane = dr.arange(mi.UInt32, len(points.position) * rays)
+    point = lane // count
+    random = mi.PCG32(len(points.position) * rays, dr.opaque(mi.UInt64, seed))
+    front = lane % 2 == 0
+    position = dr.gather(mi.Point3f, upload_points(points.position), point)
+    outward = dr.gather(mi.Point3f, upload_points(points.normal), point)
+    side = dr.select(front, mi.Float(1), -1)
+    normal = mi.Normal3f(outward * side)
+    local = mi.warp.square_to_cosine_hemisphere(_two(random))
+    ray = mi.Ray3f(position + normal * 1e-5, mi.Frame3f(normal).to_world(local))
+    throughput = mi.Float(dr.pi / _RAYS)
+    travelled, active = mi.Float(0), mi.Bool(True)
+    found: list[tuple[mi.Float, mi.Float]] = []
+    for _ in range(extra_bounces):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        travelled += dr.select(active, si.t, 0)
+        on_object = on_shapes(si, hidden_shapes(scene))
+        for emitter in scene.emitters():
+            radiance, opl = _over_the_wall(scene, emitter, si, random, active & on_object)
+            found.append((side * throughput * radiance, opl + travelled))
+        sample, weight = si.bsdf(ray).sample(
+            mi.BSDFContext(), si, random.next_float32(), _two(random), active
+        )
+        throughput *= dr.select(active, weight.x, 0)
+        active &= throughput > 0
+        ray = si.spawn_ray(si.to_world(sample.wo))
+    dr.eval(found)
+    shape = (len(points.position), rays)
+    parts = [[np.array(values, dtype=np.float64).reshape(shape) for values in pair] for pair in found]
+    return np.hstack([part[0] for part in parts]), np.hstack([part[1] for part in parts])
+
+
+def _over_the_wall(
+    scene: mi.Scene, emitter: mi.Emitter, si: mi.SurfaceInteraction3f, random: mi.PCG32, active: mi.Bool
+) -> tuple[mi.Float, mi.Float]:
+    """Radiance that leaves `si` towards `si.wi` from one random point of the lit wall, and its OPL so far."""
+    import drjit as dr
+    import mitsuba as mi
+
+    ray, flux = emitter.sample_ray(0.0, 0.0, _two(random), _two(random), active)
+    wall = scene.ray_intersect(mi.Ray3f(ray), active)
+    gap = si.p - wall.p
+    distance = dr.norm(gap)
+    direction = gap / distance
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    sent = wall.bsdf().eval(context, wall, wall.to_local(direction), active & wall.is_valid())
+    received = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(-direction), active)
+    lit = active & wall.is_valid() & (sent.x > 0) & (received.x > 0)
+    lit &= ~scene.ray_test(wall.spawn_ray_to(si.p), lit)
+    radiance = dr.select(lit, (flux * sent * received).x / dr.square(distance), 0)
+    return radiance, dr.select(lit, wall.t + distance, 0)
+
+
+def _two(random: mi.PCG32) -> mi.Point2f:
+    import mitsuba as mi
+
+    return mi.Point2f(random.next_float32(), random.next_float32())

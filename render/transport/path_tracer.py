@@ -1,0 +1,163 @@
+"""Method ``path``: mitransient's ``transient_path``, general and unbiased, the reference for all others."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.transport.method import MethodOptions, View
+from render.transport.transient_film import FILM_PLUGIN, register_film
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+INTEGRATOR_PLUGIN = "night_transient_path"
+_WAVEFRONT = 2**24  # paths in flight: about 1 GB in DrJit
+_SAMPLES_PER_PASS = 1024  # float32 bins add up this many returns before they are summed in float64
+_LOST_ENERGY = 1e-3
+
+log = logging.getLogger(__name__)
+
+
+class PathTracer:
+    """Unbiased transient path tracing with next-event estimation.
+
+    The error of the hidden signal falls as 1/sqrt(spp): 10 to 15 / sqrt(spp) per pixel.
+
+    Parameters
+    ----------
+    options : `spp`, paths per pixel, is rounded up to whole passes of equal strata, at most 1024 each.
+    variant : the active Mitsuba variant.
+    """
+
+    name = "path"
+
+    def __init__(self, options: MethodOptions, variant: str) -> None:
+        self.passes = -(-options.spp // _SAMPLES_PER_PASS)
+        self.spp_per_pass = _whole_strata(-(-options.spp // self.passes))
+        register_film(variant)
+        _register_integrator(variant)
+
+    def expose(self, scene: mi.Scene, view: View) -> PathExposure:
+        """Nothing to prepare: all work is in the rows."""
+        return PathExposure(self.passes, self.spp_per_pass, scene, view)
+
+
+def _whole_strata(spp: int) -> int:
+    """The next product of two near-equal whole numbers: how many strata a multi-jittered pixel has."""
+    rows = int(np.sqrt(spp))
+    return rows * -(-spp // rows)
+
+
+@dataclass(frozen=True)
+class PathExposure:
+    """One measurement by path tracing."""
+
+    passes: int
+    spp_per_pass: int
+    scene: mi.Scene
+    view: View
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Provenance for the file: the paths per pixel that were really traced."""
+        return {"spp": str(self.passes * self.spp_per_pass)}
+
+    def phasors(self, frequencies_hz: tuple[float, ...]) -> None:
+        """None: mitransient's films know only bins."""
+        return
+
+    def row_blocks(self) -> Iterator[NDArray[np.float32]]:
+        """Time-resolved image rows, top to bottom, as blocks (rows, W, T) of radiance per bin."""
+        view = self.view
+        step = max(1, _WAVEFRONT // (view.layout.width * self.spp_per_pass))
+        step = min(step, view.layout.rows_per_block)
+        energy = lost = 0.0
+        for start in range(0, view.layout.height, step):
+            rows = min(step, view.layout.height - start)
+            block, steady = self._render_rows(start, rows)
+            energy += steady
+            lost += steady - float(block.sum(dtype=np.float64))
+            yield block
+        if lost > _LOST_ENERGY * energy:
+            log.warning(
+                "%.2g %% of the light arrives outside the time axis: raise bin_count or lower start_opl_m",
+                100 * lost / energy,
+            )
+
+    def _render_rows(self, start: int, rows: int) -> tuple[NDArray[np.float32], float]:
+        import drjit as dr
+        import mitsuba as mi
+
+        scene, view = self.scene, self.view
+        sensor = mi.load_dict(_sensor_dict(scene, view, start, rows))
+        integrator = mi.load_dict(
+            {"type": INTEGRATOR_PLUGIN, "max_depth": view.max_bounces + 1}
+        )  # path edges
+        total = np.zeros((rows, view.layout.width, view.layout.bin_count))
+        steady_sum = 0.0
+        for number in range(self.passes):
+            seed = np.random.SeedSequence([view.seed, start, number]).generate_state(1)[0]
+            # opaque: a seed that is a literal in the kernel would recompile it for every scene.
+            steady, transient = integrator.render(
+                scene, sensor, seed=dr.opaque(mi.UInt32, int(seed)), spp=self.spp_per_pass
+            )
+            dr.eval(steady, transient)
+            total += np.array(transient)
+            steady_sum += float(np.array(steady).sum(dtype=np.float64))
+        return (total / self.passes).astype(np.float32), steady_sum / self.passes
+
+
+def _sensor_dict(scene: mi.Scene, view: View, start: int, rows: int) -> dict[str, Any]:
+    """The scene's own camera with a transient film that covers `rows` image rows."""
+    import mitsuba as mi
+
+    layout = view.layout
+    sensor = scene.sensors()[0]
+    return {
+        "type": "perspective",
+        "fov_axis": "x",
+        "fov": float(mi.traverse(sensor)["x_fov"][0]),
+        "to_world": mi.ScalarTransform4f(np.array(sensor.world_transform().matrix).reshape(4, 4)),
+        # Stratified in the pixel: the direct return's own spread over a pixel would hide the hidden signal.
+        "sampler": {"type": "multijitter"},
+        "film": {
+            "type": FILM_PLUGIN,
+            "width": layout.width,
+            "height": layout.height,
+            "crop_offset_x": 0,
+            "crop_offset_y": start,
+            "crop_width": layout.width,
+            "crop_height": rows,
+            "temporal_bins": layout.bin_count,
+            "bin_width_opl": layout.bin_width_m,
+            "start_opl": layout.start_opl_m,
+            "rfilter": {"type": "box"},
+        },
+    }
+
+
+@cache
+def _register_integrator(variant: str) -> None:
+    """``transient_path`` whose optical path starts at the pinhole.
+
+    Mitsuba starts camera rays at the near clip plane (1 cm by default); counted from there, every optical
+    path would be short by 1 to 1.2 cm.
+    """
+    import mitransient  # noqa: F401  (registers the plugins it subclasses)
+    import mitsuba as mi
+    from mitransient.integrators.transientpath import TransientPath
+
+    class TransientPathFromPinhole(TransientPath):
+        def sample_rays(self, scene: mi.Scene, sensor: mi.Sensor, sampler: mi.Sampler) -> tuple[Any, ...]:
+            ray, weight, position = super().sample_rays(scene, sensor, sampler)
+            ray.o = sensor.world_transform().translation()
+            return ray, weight, position
+
+    mi.register_integrator(INTEGRATOR_PLUGIN, TransientPathFromPinhole)

@@ -1,0 +1,64 @@
+"""What a scene must be for the many-light method, checked with a few rays before any work."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.transport.hidden_surface import hidden_shapes
+from scenegen import Refusal
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+_RAYS = 4096
+_PIXELS = (64, 48)
+USE_PATH = "render this scene with --method path"
+
+
+class SceneError(Refusal):
+    """A scene that a method cannot render."""
+
+
+def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
+    """Refuse what many-light would get wrong.
+
+    Raises
+    ------
+    SceneError : nothing is lit; the lit wall is a pure mirror; camera or emitter see a hidden object.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    from render.transport.kernels import camera_hits, upload
+    from render.transport.light_pass import emitted_rays
+
+    lit_any = smooth_any = False
+    for emitter in scene.emitters():
+        ray, flux = emitted_rays(emitter, _RAYS, 0, dr.arange(mi.UInt32, _RAYS))
+        si = scene.ray_intersect(ray)
+        lit = si.is_valid() & (flux.x > 0)
+        smooth = lit & mi.has_flag(si.bsdf(ray).flags(), mi.BSDFFlags.Smooth)
+        dr.eval(lit, smooth, si.shape)
+        lit_any |= bool(np.array(lit).any())
+        smooth_any |= bool(np.array(smooth).any())
+        if has_hidden and _meets_hidden(scene, si)[np.array(lit)].any():
+            raise SceneError(f"an emitter shines on the hidden object directly: {USE_PATH}")
+    if not lit_any:
+        raise SceneError("the emitters light nothing in the scene: turn them towards the relay wall")
+    if has_hidden and not smooth_any:
+        raise SceneError(f"the lit wall is a pure mirror, and many-light can do no mirrors: {USE_PATH}")
+    width, height = _PIXELS
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    si = camera_hits(scene, upload(x), upload(y))
+    dr.eval(si.shape)
+    if has_hidden and _meets_hidden(scene, si).any():
+        raise SceneError(f"the camera sees the hidden object directly: {USE_PATH}")
+
+
+def _meets_hidden(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> NDArray[np.bool_]:
+    from render.transport.kernels import on_shapes
+
+    return np.array(on_shapes(si, hidden_shapes(scene)))

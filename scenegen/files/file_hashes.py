@@ -1,0 +1,79 @@
+"""SHA-256 of many files, remembered by size and time of change as git's index does.
+
+Hashing a dataset of transients takes hours, looking at its files seconds. What is remembered is a
+convenience: losing it costs time, and `night-render --verify` never believes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from pathlib import Path
+
+from scenegen.files.whole_files import write_text
+
+HASHES_FILE = ".hashes.json"
+_RACY_NS = 2_000_000_000  # a file changed this lately may change again within its clock's resolution
+
+
+def sha256_of(file: Path) -> str:
+    """SHA-256 of a file's bytes, read now; `OSError` when it cannot be read."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class FileHashes:
+    """Hashes of the files under `root`, remembered in ``root/.hashes.json``.
+
+    Threads may share one; two processes may use one folder: the last to `save` wins, which costs time only.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._known = _read(root / HASHES_FILE)
+        self._changed = False
+
+    def sha256(self, file: Path) -> str:
+        """SHA-256 of a file under `root`, read only when it changed since the last time; else `OSError`."""
+        state = file.stat()
+        name = file.relative_to(self.root).as_posix()
+        stamp = [state.st_size, state.st_mtime_ns, state.st_ino]
+        known = self._known.get(name)
+        if known is not None and known[:3] == stamp:
+            return str(known[3])
+        digest = sha256_of(file)
+        if time.time_ns() - state.st_mtime_ns > _RACY_NS:
+            self._known[name] = [*stamp, digest]
+            self._changed = True
+        return digest
+
+    def learn(self, file: Path, sha256: str) -> None:
+        """Remember the hash of a file that was written and hashed just now."""
+        try:
+            state = file.stat()
+        except OSError:
+            return
+        name = file.relative_to(self.root).as_posix()
+        self._known[name] = [state.st_size, state.st_mtime_ns, state.st_ino, sha256]
+        self._changed = True
+
+    def save(self) -> None:
+        """Write what was learnt; a folder that may not be written to is no error."""
+        if not self._changed:
+            return
+        try:
+            write_text(self.root / HASHES_FILE, json.dumps(self._known) + "\n")
+        except OSError:
+            return
+        self._changed = False
+
+
+def _read(file: Path) -> dict[str, list[int | str]]:
+    try:
+        known = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(known, dict):
+        return {}
+    return {name: entry for name, entry in known.items() if isinstance(entry, list) and len(entry) == 4}

@@ -1,0 +1,184 @@
+"""Making a dataset's scenes: draw, check in the maker's geometry, write."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
+
+from scenegen.dataset import Dataset, DatasetError, build_index, open_dataset, write_index
+from scenegen.files.whole_files import is_partial, remove_leftovers, whole_folder
+from scenegen.preset import Preset
+from scenegen.sampling import sample_valid_scene
+from scenegen.scene import Scene, scene_from_json, scene_id
+
+NO_MESHES: Mapping[str, str] = MappingProxyType({})
+
+
+class Maker(Protocol):
+    """What turns a scene into files; `scenegen.making.blender.BlenderMaker` is the one there is."""
+
+    @property
+    def version(self) -> str:
+        """Version of the program that makes the meshes."""
+
+    def refusal(self, scene: Scene) -> str | None:
+        """Why the scene cannot be, or None."""
+
+    def files(self, scene: Scene) -> dict[str, bytes]:
+        """Names and contents of the scene's files."""
+
+
+def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES) -> None:
+    """Refuse a folder that holds something else than scenes of `preset`, as many or fewer.
+
+    Parameters
+    ----------
+    meshes : SHA-256 of the mesh files that the preset's shapes name, by shape.
+
+    Raises
+    ------
+    DatasetError : the folder has other files, or a dataset of another preset or seed, of more scenes or of
+        other meshes.
+    """
+    foreign = DatasetError(f"{root} holds other files and is no NIGHT dataset: choose an empty folder")
+    if root.exists() and not root.is_dir():
+        raise foreign
+    if (root / "dataset.json").exists():
+        count = _check_extends(root, preset, meshes)
+        refused = [entry for entry in _surplus(root / "scenes", count) if not _is_ours(entry, preset)]
+    elif root.exists() and any(e.name != "scenes" and not is_partial(e.name) for e in root.iterdir()):
+        raise foreign
+    else:
+        surplus = _surplus(root / "scenes", preset.dataset.count)
+        refused = [entry for entry in surplus if not _is_scene_folder(entry)]
+    if refused:
+        raise DatasetError(
+            f"{refused[0]} is none of the dataset's scenes: remove it or choose an empty folder"
+        )
+
+
+def generate(
+    root: Path,
+    preset: Preset,
+    maker: Maker,
+    on_scene: Callable[[], None],
+    *,
+    meshes: Mapping[str, str] = NO_MESHES,
+) -> Dataset:
+    """Make all scenes of `preset` in `root`, in this process; add them to those of a smaller count.
+
+    Every scene's folder appears whole or not at all and ``dataset.json`` comes last, with the record of the
+    renders that it had. Same preset, same bytes: every scene is made again, which costs milliseconds; a
+    folder that holds just that stays untouched, any other is replaced. So what was interrupted goes on and
+    what was damaged is mended. Scenes that an interrupted run of more scenes left are removed.
+
+    Parameters
+    ----------
+    on_scene : called after every scene.
+    meshes : SHA-256 of the mesh files that the preset's shapes name, by shape; `maker` knows the meshes.
+
+    Raises
+    ------
+    DatasetError : the folder holds something else.
+    SamplingError : the preset's ranges leave an object no room.
+    """
+    prepare(root, preset, meshes)
+    scenes = (write_scene(root, preset, index, maker) for index in range(preset.dataset.count))
+    return finish(root, preset, meshes, reported(scenes, on_scene), maker.version)
+
+
+def prepare(root: Path, preset: Preset, meshes: Mapping[str, str]) -> None:
+    """Check the target and remove the scenes that an interrupted run of more scenes left."""
+    check_target(root, preset, meshes)
+    for entry in _surplus(root / "scenes", preset.dataset.count):
+        shutil.rmtree(entry)
+
+
+def finish(
+    root: Path, preset: Preset, meshes: Mapping[str, str], scenes: Iterable[Scene], version: str
+) -> Dataset:
+    """Take in the scenes as they are made, then write the index."""
+    index = build_index(preset, scenes, version, meshes=meshes)
+    if (root / "dataset.json").exists():
+        index = replace(index, rendering=open_dataset(root).index.rendering)
+    write_index(root, index)
+    return open_dataset(root)
+
+
+def reported(scenes: Iterable[Scene], on_scene: Callable[[], None]) -> Iterator[Scene]:
+    """The scenes as they come, each told of."""
+    for scene in scenes:
+        on_scene()
+        yield scene
+
+
+def write_scene(root: Path, preset: Preset, index: int, maker: Maker) -> Scene:
+    """Draw scene `index` and write its folder, unless just these bytes are there."""
+    scene = sample_valid_scene(preset, index, maker.refusal)
+    files = maker.files(scene)
+    folder = root / "scenes" / scene.id
+    if not _holds(folder, files):
+        with whole_folder(folder, sweep=False) as partial:  # prepare has swept
+            for name, contents in files.items():
+                (partial / name).write_bytes(contents)
+    return scene
+
+
+def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
+    """Whether a folder holds just these files with just these bytes."""
+    try:
+        if {entry.name for entry in folder.iterdir()} != set(files):
+            return False
+        return all((folder / name).read_bytes() == contents for name, contents in files.items())
+    except OSError:
+        return False
+
+
+def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str]) -> int:
+    """How many scenes the finished dataset in `root` has, when `preset` asks for these and perhaps more."""
+    index = open_dataset(root).index
+    count = index.preset.dataset.count
+    if replace(preset, dataset=replace(preset.dataset, count=count)) != index.preset:
+        raise DatasetError(
+            f"{root} already holds a dataset of another preset or seed: choose an empty folder"
+        )
+    if preset.dataset.count < count:
+        raise DatasetError(
+            f"{root} already holds {count} scenes, and {preset.dataset.count} are asked for: "
+            f"give --count {count} or more, or choose an empty folder"
+        )
+    for shape, sha256 in index.meshes.items():
+        if meshes.get(shape) != sha256:
+            raise DatasetError(
+                f"{root} was made with another {shape}: put that file back or choose an empty folder"
+            )
+    return count
+
+
+def _surplus(scenes: Path, count: int) -> list[Path]:
+    """What lies in the folder of scenes and is none of the first `count`."""
+    if not scenes.is_dir():
+        return [scenes] if scenes.exists() else []
+    remove_leftovers(scenes)
+    expected = {scene_id(index) for index in range(count)}
+    return sorted(e for e in scenes.iterdir() if e.name not in expected and not is_partial(e.name))
+
+
+def _is_scene_folder(entry: Path) -> bool:
+    return re.fullmatch(r"\d{6}", entry.name) is not None and entry.is_dir() and not entry.is_symlink()
+
+
+def _is_ours(entry: Path, preset: Preset) -> bool:
+    """Whether an interrupted extension of a dataset of `preset` left this: the index alone knows the rest."""
+    if not _is_scene_folder(entry):
+        return False
+    try:
+        scene = scene_from_json((entry / "scene.json").read_text(encoding="utf-8"), str(entry))
+    except (OSError, ValueError):
+        return False
+    return (scene.dataset_seed, scene.id) == (preset.dataset.seed, entry.name)

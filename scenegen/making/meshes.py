@@ -1,0 +1,171 @@
+"""The user's own meshes as hidden objects: files read, checked, and brought to one size and order."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from scenegen.preset import MESH_PREFIX, Preset, Shape
+from scenegen.refusal import Refusal
+
+MAX_TRIANGLES = 2_000_000  # 26 MB a PLY file; Blender takes seconds for each of them
+MAX_FILE_BYTES = 2**30  # two million triangles as text are about half of it
+_EXTENT_RANGE = (1e-30, 1e30)  # squares of what lies outside leave float64's range
+_FLOAT32_STEP = float(np.finfo(np.float32).eps)  # coordinates in the unit box are known to this
+
+
+class MeshError(Refusal):
+    """A mesh file that is missing, cannot be read, or holds no surface."""
+
+
+@dataclass(frozen=True)
+class UserMesh:
+    """Triangles of a mesh file, at the origin.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float32, centre of the bounding box at the origin, its longest side 1; each place once,
+        in ascending order of x, then y, then z.
+    triangles : (T, 3) int32 indices in the file's winding, in its order; none without area, none twice.
+    outermost : (N,) indices of the vertices of the convex hull; of a flat mesh, all vertices.
+    sha256 : of the file's bytes.
+    """
+
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    outermost: NDArray[np.int64]
+    sha256: str
+
+
+def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
+    """The meshes that a preset's shapes name, by shape; `folder` is the preset's own.
+
+    Raises
+    ------
+    MeshError : what is wrong with a file, by name.
+    """
+    shapes = [shape for shape in preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)]
+    return {shape: read_mesh(folder / shape.removeprefix(MESH_PREFIX)) for shape in shapes}
+
+
+def read_mesh(file: Path) -> UserMesh:
+    """Read a mesh in any format of trimesh (PLY, STL, OBJ, OFF, GLB, ...) that is one file.
+
+    Objects of a file become one mesh, vertices at the same place one vertex, polygons triangles. Triangles
+    without area are dropped, and so are repeated ones, whichever way they face: a hidden object reflects
+    on both sides, and a surface modelled with two would count twice. All this is a function of the file's
+    bytes.
+
+    Raises
+    ------
+    MeshError : no such file, not a mesh, or one without a surface, with values that are no numbers, or with
+        more than two million triangles.
+    """
+    contents = _contents(file)
+    vertices, triangles = _parsed(file, contents)
+    if len(triangles) == 0:
+        raise MeshError(f"mesh {file} holds no triangles")
+    if len(triangles) > MAX_TRIANGLES:
+        raise MeshError(f"mesh {file} has {len(triangles)} triangles: simplify it to at most {MAX_TRIANGLES}")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise MeshError(f"mesh {file} is damaged: its faces name vertices that it does not have")
+    if not np.isfinite(vertices).all():
+        raise MeshError(f"mesh {file} has vertices that are infinite or not a number")
+    unit, kept = _in_unit_box(file, vertices, triangles)
+    return UserMesh(unit, kept, _outermost(unit), hashlib.sha256(contents).hexdigest())
+
+
+def _contents(file: Path) -> bytes:
+    try:
+        if file.exists() and not file.is_file():
+            raise MeshError(f"mesh {file} is no file")
+        if file.stat().st_size > MAX_FILE_BYTES:
+            raise MeshError(f"mesh {file} is larger than {MAX_FILE_BYTES >> 30} GiB: simplify it")
+        return file.read_bytes()
+    except FileNotFoundError:
+        raise MeshError(
+            f"mesh {file} is missing: the shape {MESH_PREFIX}FILE is relative to the preset's folder"
+        ) from None
+    except OSError as error:
+        raise MeshError(f"mesh {file} cannot be read: {error.strerror}") from None
+
+
+def _parsed(file: Path, contents: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    kind = file.suffix.lower().removeprefix(".")
+    if not contents:
+        raise MeshError(f"mesh {file} is empty")
+    if kind not in trimesh.available_formats():
+        raise MeshError(f"mesh {file} is in no known format: convert it to .ply, .stl, .obj, .off or .glb")
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(contents), file_type=kind, process=False)
+        vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
+        return vertices, np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+    except MemoryError:
+        raise
+    except Exception as error:  # trimesh's parsers raise anything at all on damaged files
+        raise MeshError(f"mesh {file} cannot be read as {kind.upper()}: {error}") from None
+
+
+def _in_unit_box(
+    file: Path, vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Vertices and triangles as `UserMesh` has them; the box is that of the triangles that have an area."""
+    while len(triangles):
+        used = vertices[np.unique(triangles)]
+        low, high = used.min(axis=0), used.max(axis=0)
+        extent = float(np.max(high / 2 - low / 2)) * 2  # halves first: a difference may overflow
+        if not _EXTENT_RANGE[0] <= extent <= _EXTENT_RANGE[1]:
+            raise MeshError(f"mesh {file} is {extent:g} units across: that is no size to scale from")
+        centred = (vertices - (low / 2 + high / 2)) / extent
+        unit, merged = _merged(
+            centred[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles)
+        )
+        kept = _has_area(unit, merged)
+        if kept.all():
+            return unit, merged[_first_of_each(merged)].astype(np.int32)
+        triangles = triangles[kept]
+    raise MeshError(f"mesh {file} has no area: all its triangles are lines or points")
+
+
+def _merged(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Vertices at the same float32 place made one, in ascending order."""
+    rounded = vertices.astype(np.float32) + np.float32(0)  # adding 0 makes -0 and 0 the same
+    order = np.lexsort(rounded.T[::-1])
+    ordered = rounded[order]
+    is_new = np.r_[True, (ordered[1:] != ordered[:-1]).any(axis=1)]
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], rank[triangles]
+
+
+def _has_area(vertices: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether a triangle's height over its longest side can be told from 0 in float32."""
+    corners = vertices[triangles].astype(np.float64)  # (T, 3, 3)
+    sides = np.roll(corners, -1, axis=1) - corners  # (T, 3, 3)
+    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    has_area: NDArray[np.bool_] = twice_area > _FLOAT32_STEP * np.linalg.norm(sides, axis=2).max(axis=1)
+    return has_area
+
+
+def _first_of_each(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where each set of three vertices comes first, in order."""
+    corners = np.sort(triangles, axis=1)
+    order = np.lexsort(corners.T[::-1])  # stable: equal ones keep the file's order
+    is_new = np.r_[True, (corners[order][1:] != corners[order][:-1]).any(axis=1)]
+    return np.sort(order[is_new])
+
+
+def _outermost(vertices: NDArray[np.float32]) -> NDArray[np.int64]:
+    try:
+        return np.sort(ConvexHull(vertices.astype(np.float64)).vertices).astype(np.int64)
+    except QhullError:  # flat
+        return np.arange(len(vertices))

@@ -1,0 +1,91 @@
+"""What stands in ``renders/<id>/``: a record of whole files, or of why there are none.
+
+``render.json`` is written last, so a scene without one is not rendered. It holds nothing that differs
+between two runs of the same work (no time, no host): same scene, same settings, same bytes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field, TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from scenegen.files.whole_files import write_text
+from scenegen.preset import STRICT, PresetError, checked
+
+RECORD_FILE, FAILURE_FILE, FAILURE_LOG = "render.json", "failure.json", "failure.log"
+Contents = TypeVar("Contents")
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+@dataclass(frozen=True, config=STRICT)
+class FileRecord:
+    """Size and hash of one rendered file."""
+
+    bytes: Annotated[int, Field(ge=0)]
+    sha256: Sha256
+
+
+@dataclass(frozen=True, config=STRICT)
+class RenderRecord:
+    """Contents of ``render.json``.
+
+    Attributes
+    ----------
+    recipe : all that the pixels depend on, as JSON text: equal recipes, equal pixels but for the rounding of
+        another device or version.
+    attributes : provenance of the measurement, text by name, as in the header of ``itof.exr``.
+    files : the scene's files by name.
+    """
+
+    recipe: str
+    attributes: dict[str, str]
+    files: dict[str, FileRecord]
+    schema_version: Literal[1] = 1
+
+
+@dataclass(frozen=True, config=STRICT)
+class FailureRecord:
+    """Contents of ``failure.json``: a scene that could not be rendered, with the recipe that was tried."""
+
+    recipe: str
+    attempts: Annotated[int, Field(ge=1)]
+    reason: str
+    schema_version: Literal[1] = 1
+
+
+def read_record(folder: Path) -> RenderRecord | None:
+    """Record of a render folder; None when there is none, or none that can be read."""
+    return _read(TypeAdapter(RenderRecord), folder / RECORD_FILE)
+
+
+def write_record(folder: Path, record: RenderRecord) -> None:
+    """Write ``render.json``, whole or not at all."""
+    write_text(folder / RECORD_FILE, TypeAdapter(RenderRecord).dump_json(record, indent=1).decode() + "\n")
+
+
+def read_failure(folder: Path) -> FailureRecord | None:
+    """Failure of a render folder; None when there is none, or none that can be read."""
+    return _read(TypeAdapter(FailureRecord), folder / FAILURE_FILE)
+
+
+def write_failure(folder: Path, failure: FailureRecord, log: str) -> None:
+    """Write ``failure.log`` and ``failure.json``, each whole or not at all."""
+    write_text(folder / FAILURE_LOG, log)
+    write_text(folder / FAILURE_FILE, TypeAdapter(FailureRecord).dump_json(failure, indent=1).decode() + "\n")
+
+
+def remove_failure(folder: Path) -> None:
+    """Forget a failure, if there is one."""
+    for name in (FAILURE_FILE, FAILURE_LOG):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _read(adapter: TypeAdapter[Contents], file: Path) -> Contents | None:
+    try:
+        contents: Contents = checked(adapter, file.read_bytes(), str(file))
+    except (OSError, PresetError):
+        return None
+    return contents
