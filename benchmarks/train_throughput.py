@@ -25,11 +25,12 @@ from itof import phase_per_metre
 from model.data.augmentation import Draws
 from model.data.batches import BatchMaker
 from model.data.rows import RowBlock
+from model.device import choose_device
 from model.network.channels import InputSpec
 from model.network.loss import NightLoss
 from model.network.wall_view import WallView
 from model.run_folder import RunConfig
-from model.settings import TrainSettings, choose_device
+from model.settings import TrainSettings
 from model.training.processes import Processes
 from model.training.step import TrainingStep
 

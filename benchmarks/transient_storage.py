@@ -2,8 +2,9 @@
 
 Renders one scene (a sphere, wall roughness 0.3) with many-light, or with the path tracer, and writes it
 again as scanlines of an EXR file (docs/files.md) and as the HDF5 file of ``render.products.tal_export``,
-(T, W, H) in chunks. Every file is compared with the rendered bits. Times are of calls with warm caches, without waiting
-for the disk; memory is the peak of a process that only writes, or only reads, 64 MiB of rows at a time. Run:
+(T, W, H) in chunks. Every file is compared with the rendered bits. Times are of calls with warm caches,
+without waiting for the disk; memory is the peak of a process that only writes, or only reads, 64 MiB of rows
+at a time. Run:
 
     .venv/bin/python benchmarks/transient_storage.py
     .venv/bin/python benchmarks/transient_storage.py --method path --spp 64

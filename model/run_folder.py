@@ -29,14 +29,14 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.network.wall_view import WallView
 from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
-from scenegen import PresetError, Refusal, whole_file, write_text
+from scenegen import NightError, PresetError, whole_file, write_text
 from scenegen.preset import STRICT, Positive, WholeCount, checked
 
 RUN_SCHEMA: Final = 2
 CHECKPOINT_KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
 
 
-class RunError(Refusal):
+class RunError(NightError):
     """A run folder that is missing, foreign, damaged, of another schema, or in the way."""
 
 

@@ -1,23 +1,23 @@
-"""Settings of a training run, and the device it runs on."""
+"""Settings of a training run, as plain data: neither torch nor anything that the settings are for."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from model.data.augmentation import Augmentation
-from model.network.channels import Channels
-from model.network.loss import LossName, LossTarget, NightLoss
-from model.network.readout import Readout
-from scenegen import PresetError, Refusal, read_settings
+from scenegen import PresetError, read_settings
 from scenegen.preset import STRICT, Positive, WholeCount, checked
 
+Channels = Literal["paper", "residual", "paper+residual"]
+CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
+LossName = Literal["mae", "mse", "mae+iou", "mse+iou"]
+LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou")
+LossTarget = Literal["components", "depth"]
+LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
 DeviceName = Literal["auto", "cpu", "cuda"]
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
 Precision = Literal["auto", "float32", "bfloat16", "float16"]
@@ -26,10 +26,6 @@ Schedule = Literal["constant", "cosine"]
 SCHEDULES: tuple[Schedule, ...] = ("constant", "cosine")
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
 NotNegative = Annotated[float, Field(ge=0)]
-
-
-class DeviceError(Refusal):
-    """A device that this machine does not have."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -68,11 +64,11 @@ class TrainSettings:
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     channels: Channels = "paper+residual"
     width: WholeCount = 32
-    loss: LossName = NightLoss.name
-    loss_on: LossTarget = NightLoss.on
-    alpha: NotNegative = NightLoss.alpha
-    mask_threshold: Positive = Readout.mask_threshold
-    dead_zone: NotNegative = Readout.dead_zone
+    loss: LossName = "mae+iou"
+    loss_on: LossTarget = "components"
+    alpha: NotNegative = 1 / 7
+    mask_threshold: Positive = 0.5
+    dead_zone: NotNegative = 0.05
     learning_rate: Positive = 1e-4
     batch_size: WholeCount = 32
     schedule: Schedule = "constant"
@@ -98,11 +94,6 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
-
-    @property
-    def augmentation(self) -> Augmentation:
-        """What happens to the training images."""
-        return Augmentation(**{field.name: getattr(self, field.name) for field in fields(Augmentation)})
 
 
 def training_preset(name_or_file: str) -> tuple[dict[str, Any], str]:
@@ -140,28 +131,3 @@ def settings_from_dict(data: dict[str, Any], origin: str) -> TrainSettings:
     """
     settings: TrainSettings = checked(TypeAdapter(TrainSettings), json.dumps(data, default=str), origin)
     return settings
-
-
-def choose_device(name: DeviceName) -> torch.device:
-    """The device to compute on.
-
-    Raises
-    ------
-    DeviceError : cuda where there is none.
-    """
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise DeviceError("there is no CUDA device that PyTorch can use: choose device cpu or auto")
-    return torch.device(name)
-
-
-def number_type(precision: Precision, device: torch.device) -> torch.dtype:
-    """What the convolutions of a training compute in; ``auto`` is what is fast on `device`."""
-    if precision == "auto":
-        able = torch.cpu.get_capabilities()
-        fast = able.get("avx512_bf16") or able.get("amx_bf16")
-        if device.type == "cuda":
-            fast = torch.cuda.is_bf16_supported(including_emulation=False)
-        precision = "bfloat16" if fast else "float32"
-    return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[precision]

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Literal
 
-from scenegen import Refusal, silenced
+from scenegen import NightError, silenced
 
 Device = Literal["auto", "cpu", "cuda"]
 
@@ -20,7 +20,7 @@ STDERR = 2
 log = logging.getLogger(__name__)
 
 
-class BackendError(Refusal):
+class BackendError(NightError):
     """The device that was asked for cannot render here."""
 
 

@@ -12,7 +12,7 @@ from itof import TransientLayout
 from render.backend import Device
 from render.transport.method import MethodOptions
 from render.transport.methods import DEFAULT_METHOD, METHODS
-from scenegen import Dataset, Refusal, RenderingProvenance
+from scenegen import Dataset, NightError, RenderingProvenance
 
 Product = Literal["transient", "itof", "both"]
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
@@ -23,7 +23,7 @@ _MOST_PIXELS = 2**26  # all of an image's rays are in flight at once for the gro
 _WORKING_COPIES = 4  # of a block of rows: bins, numpy's copy, a sum in double precision
 
 
-class RenderError(Refusal):
+class RenderError(NightError):
     """A scene that cannot be rendered as asked."""
 
 

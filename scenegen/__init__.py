@@ -16,9 +16,9 @@ from scenegen.dataset import (
 )
 from scenegen.files.file_hashes import FileHashes, sha256_of
 from scenegen.files.whole_files import is_partial, whole_file, whole_folder, write_text
+from scenegen.night_error import NightError
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, PresetError, data_folder, load_preset, preset_from_dict, read_settings
-from scenegen.refusal import Refusal
 from scenegen.render_folder import (
     RECORD_FILE,
     FailureRecord,
@@ -42,9 +42,9 @@ __all__ = [
     "FailureRecord",
     "FileHashes",
     "FileRecord",
+    "NightError",
     "Preset",
     "PresetError",
-    "Refusal",
     "RenderRecord",
     "RenderingProvenance",
     "SamplingError",

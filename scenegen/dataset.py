@@ -19,15 +19,15 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from scenegen.files.whole_files import write_text
+from scenegen.night_error import NightError
 from scenegen.preset import STRICT, Preset, WholeCount, checked
-from scenegen.refusal import Refusal
 from scenegen.scene import Scene, Split, scene_from_json, scene_id
 
 DATASET_SCHEMAS = (1, 2)  # readable; the newest is written, and 1 lacks all that has a default below
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
 
-class DatasetError(Refusal):
+class DatasetError(NightError):
     """A dataset folder that is missing, foreign, of another schema or incomplete."""
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from scenegen.refusal import Refusal
+from scenegen.night_error import NightError
 
 # m/s, exact; itof has it too, but these two packages import nothing of each other (a test compares them).
 SPEED_OF_LIGHT = 299_792_458.0
@@ -36,7 +36,7 @@ WholeCount = Annotated[int, Field(ge=1)]
 MAX_SCANLINE_VALUES = 2**31  # OpenEXR counts a scanline's values (image width x bins) in 32 bits
 
 
-class PresetError(Refusal):
+class PresetError(NightError):
     """A preset that is missing, cannot be read, or asks for something impossible."""
 
 

@@ -7,14 +7,14 @@ from math import floor
 
 import numpy as np
 
+from scenegen.night_error import NightError
 from scenegen.preset import Preset, Vector
-from scenegen.refusal import Refusal
 from scenegen.scene import COMPOSITE, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000
 
 
-class SamplingError(Refusal):
+class SamplingError(NightError):
     """No sample of a scene fits behind the middle wall."""
 
 

@@ -10,11 +10,11 @@ import pytest
 from synthetic_dataset import write_synthetic_dataset, write_synthetic_render
 
 from itof import ImageFileError, direct_phasors, join_components, read_image, residual_channels, write_image
+from model.data.channel_scaling import fit_input_spec
 from model.data.pieces import scenes_per_piece
 from model.data.renders import ShardError
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
-from model.network.channels import fit_input_spec
 from scenegen import (
     DatasetError,
     FailureRecord,

@@ -21,12 +21,13 @@ from synthetic_dataset import write_synthetic_dataset
 from itof import phasor_of_return, pixel_rays
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
+from model.device import DeviceError, choose_device
 from model.network.loss import NightLoss
 from model.network.readout import Readout
 from model.prediction.predictor import load
 from model.report.evaluation import EvaluationError, evaluate
 from model.run_folder import RunError, run_settings
-from model.settings import DeviceError, TrainSettings, choose_device, settings_from_dict, training_preset
+from model.settings import TrainSettings, settings_from_dict, training_preset
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from scenegen import FailureRecord, PresetError, write_failure

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from model.data.batches import Batch, BatchMaker, TensorRows
+from model.settings import TrainSettings
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,11 @@ class Augmentation:
     translation: float = 0.0
     amplitude_spread: float = 0.0
     noise_sigma: float = 0.0
+
+    @classmethod
+    def of(cls, settings: TrainSettings) -> Augmentation:
+        """What the settings of a run ask for."""
+        return cls(**{field.name: getattr(settings, field.name) for field in fields(cls)})
 
     def warp(self, draws: Draws) -> Warp:
         """The geometric part, for each image."""

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import Image, ImageFileError, read_image
-from scenegen import Dataset, FileHashes, Refusal, read_record
+from scenegen import Dataset, FileHashes, NightError, read_record
 
 MEASUREMENT_FILE = "itof.exr"
 GROUND_TRUTH_FILE = "mirrored.exr"
 
 
-class ShardError(Refusal):
+class ShardError(NightError):
     """Renders that cannot become training data: missing, damaged, not finite or of another size."""
 
 

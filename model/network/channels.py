@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import numpy as np
 from array_api_compat import array_namespace, device, is_array_api_obj
-from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from itof import amplitude, network_channels, residual_channels
-from model.data.order import rows_by_piece
-from model.data.shards import Shards
+from itof import network_channels, residual_channels
+from model.settings import Channels
 from scenegen.preset import STRICT, Positive
-
-Channels = Literal["paper", "residual", "paper+residual"]
-CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -114,53 +109,3 @@ class InputSpec:
 
 def _megahertz(frequencies_hz: Sequence[float]) -> str:
     return ", ".join(f"{f / 1e6:g}" for f in frequencies_hz)
-
-
-def fit_input_spec(
-    channels: Channels,
-    shards: Shards,
-    rows: Sequence[int],
-    frequencies_hz: Sequence[float] | None = None,
-) -> InputSpec:
-    """Constants of the training scenes `rows`, read one piece of the shards at a time.
-
-    Parameters
-    ----------
-    frequencies_hz : that the network is to see, of those in the shards; all when None.
-
-    Raises
-    ------
-    ValueError : no scenes, scenes without any light, or a frequency that was not rendered.
-    """
-    if not rows:
-        raise ValueError("the input channels are scaled by the training scenes, and there are none")
-    available = shards.manifest.frequencies_hz
-    chosen = tuple(frequencies_hz) if frequencies_hz else available
-    unscaled = InputSpec(
-        channels, chosen, 1.0, (1.0,) * (2 * len(chosen) - 1) if "residual" in channels else ()
-    )
-    places = unscaled.places(available)
-    reference = shards.reference[..., places]
-    amplitudes, means, squares = [], [], []
-    for phasor in _phasors(shards, rows):
-        amplitudes.append(amplitude(phasor[..., places[0]]).mean())
-        if unscaled.uses_residual:
-            residual = residual_channels(phasor[..., places], reference).astype(np.float64)  # (2F - 1, H, W)
-            means.append(residual.mean(axis=(1, 2)))
-            squares.append((residual**2).mean(axis=(1, 2)))
-    if not np.mean(amplitudes) > 0:
-        raise ValueError(f"the {len(rows)} training scenes hold no light at all: render them again")
-    residual_scale: tuple[float, ...] = ()
-    if unscaled.uses_residual:
-        variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
-        # A channel that never varies carries nothing, whatever it is divided by.
-        residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
-    return InputSpec(channels, chosen, float(np.mean(amplitudes)), residual_scale)
-
-
-def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:
-    """(H, W, F) phasors of one scene after the other."""
-    for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
-        block = shards.read(piece)
-        for row in piece:
-            yield block.take([row]).complex_phasors()[0]

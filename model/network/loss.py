@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import Tensor
 
 from model.network.readout import Readout
-
-LossName = Literal["mae", "mse", "mae+iou", "mse+iou"]
-LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou")
-LossTarget = Literal["components", "depth"]
-LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
+from model.settings import LossName, LossTarget, TrainSettings
 
 
 @dataclass(frozen=True)
@@ -50,9 +45,9 @@ class NightLoss:
     """
 
     readout: Readout
-    name: LossName = "mae+iou"
-    on: LossTarget = "components"
-    alpha: float = 1 / 7
+    name: LossName = TrainSettings.loss
+    on: LossTarget = TrainSettings.loss_on
+    alpha: float = TrainSettings.alpha
 
     def __call__(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
         """Scalar loss of (N, 2, H, W) outputs.

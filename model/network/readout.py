@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
+from model.settings import TrainSettings
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Readout:
     """
 
     frequency_hz: float
-    mask_threshold: float = 0.5
-    dead_zone: float = 0.05
+    mask_threshold: float = TrainSettings.mask_threshold
+    dead_zone: float = TrainSettings.dead_zone
 
     @property
     def metres_per_radian(self) -> float:

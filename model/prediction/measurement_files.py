@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import ImageFileError, read_image
-from scenegen import Refusal
+from scenegen import NightError
 
 ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
 _SAME_FREQUENCY = 1e-6  # relative; turns the phase of 20 m optical path by 8e-6 rad at 20 MHz
@@ -38,7 +38,7 @@ _NPZ_ERRORS = (
 )
 
 
-class MeasurementError(Refusal):
+class MeasurementError(NightError):
     """A measurement file that is missing, damaged, foreign or not as its layout promises."""
 
 

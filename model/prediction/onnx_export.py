@@ -20,7 +20,7 @@ from pydantic import TypeAdapter
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder import RunConfig
-from scenegen import Refusal, whole_file
+from scenegen import NightError, whole_file
 
 INPUT: Final = "channels"
 OUTPUT: Final = "components"
@@ -35,7 +35,7 @@ COARSE: Final = 8  # pixels from one random value to the next: hidden light is s
 ALLOWANCE: Final = 10.0
 
 
-class ExportError(Refusal):
+class ExportError(NightError):
     """A file name that is no ONNX file's, a package that is missing, or a network that came out different."""
 
 

@@ -22,13 +22,13 @@ from model.prediction.measurement_files import Measurement, MeasurementError, re
 from model.prediction.pointclouds import object_points, write_point_cloud
 from model.prediction.predictor import BATCH, Prediction, Predictor, load
 from model.settings import DeviceName
-from scenegen import Refusal, whole_folder, write_text
+from scenegen import NightError, whole_folder, write_text
 
 PREDICTION_SCHEMA: Final = 1
 RECORD: Final = "prediction.json"
 
 
-class PredictionError(Refusal):
+class PredictionError(NightError):
     """A folder that holds something else than an earlier prediction."""
 
 

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from itof import amplitude, join_components, z_from_radial
+from model.device import choose_device
 from model.network.readout import Readout
 from model.network.unet import UNet
 from model.run_folder import RunConfig, load_weights, read_config
-from model.settings import DeviceName, choose_device
+from model.settings import DeviceName
 
 BATCH = 16  # images at a time; QVGA at full width takes about 1 GB
 

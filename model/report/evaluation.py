@@ -30,12 +30,12 @@ from model.report.results import Report
 from model.report.scene_result import SceneResult, judge_scene
 from model.report.showcase import ShownScene, choose
 from model.settings import DeviceName
-from scenegen import Dataset, Refusal, Split, whole_folder
+from scenegen import Dataset, NightError, Split, whole_folder
 
 _log = logging.getLogger(__name__)
 
 
-class EvaluationError(Refusal):
+class EvaluationError(NightError):
     """A dataset that a run cannot be evaluated on, or a report folder that holds something else."""
 
 

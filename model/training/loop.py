@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from model.data.augmentation import Draws
 from model.data.batches import BatchMaker, TensorRows
+from model.data.channel_scaling import fit_input_spec
 from model.data.feed import Feed, window_rows
 from model.data.shards import Shards, open_shards
-from model.network.channels import fit_input_spec
 from model.network.metrics import mask_iou
 from model.network.wall_view import wall_view
 from model.run_folder import (
@@ -76,9 +76,9 @@ def train(
 
     Started by torchrun, all its processes train one network together, each on its part of every batch.
 
-    Scenes of a split that take more than `memory_bytes` (by default `model.data.feed.MEMORY_PART` of the memory of
-    machine or GPU) are streamed from the shards and shuffled in windows (`model.data.order`); a resumed run
-    keeps the windows it began with.
+    Scenes of a split that take more than `memory_bytes` (by default a quarter of the memory of machine or
+    GPU) are streamed from the shards and shuffled in windows (`model.data.order`); a resumed run keeps the
+    windows it began with.
 
     Raises
     ------

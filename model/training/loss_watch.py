@@ -8,14 +8,14 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from scenegen import Refusal
+from scenegen import NightError
 
 # Predicting nothing costs 1 at most, a depth of one turn too much 56 squared metres; He's initial weights
 # are well below 100.
 EXPLODED = 1e4
 
 
-class LossError(Refusal):
+class LossError(NightError):
     """A loss that is no number or exploded."""
 
 

@@ -10,8 +10,9 @@ from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
+from model.device import number_type
 from model.network.unet import UNet
-from model.settings import TrainSettings, number_type
+from model.settings import TrainSettings
 
 
 def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from model.settings import DeviceName, choose_device
+from model.device import choose_device
+from model.settings import DeviceName
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import torch
 
 from model.data.shards import Shards
 from model.run_folder import RunConfig, RunError
-from scenegen import Dataset, Refusal, is_partial
+from scenegen import Dataset, NightError, is_partial
 
 
-class TrainingError(Refusal):
+class TrainingError(NightError):
     """A dataset that cannot be trained on, or a loss that is not a number."""
 
 

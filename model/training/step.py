@@ -7,11 +7,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from model.data.augmentation import Draws
+from model.data.augmentation import Augmentation, Draws
 from model.data.batches import Batch, BatchMaker, TensorRows
+from model.device import number_type
 from model.network.loss import NightLoss
 from model.run_folder import RunConfig
-from model.settings import number_type
 from model.training.optimisation import Optimisation
 from model.training.processes import Processes
 
@@ -35,7 +35,7 @@ class TrainingStep:
         self, config: RunConfig, maker: BatchMaker, processes: Processes, steps_per_epoch: int
     ) -> None:
         settings, device = config.settings, processes.device
-        self.maker, self.augmentation = maker, settings.augmentation
+        self.maker, self.augmentation = maker, Augmentation.of(settings)
         self._device_type, self._number_type = device.type, number_type(settings.precision, device)
         self._order = torch.channels_last if settings.channels_last else torch.contiguous_format
         network = config.network(torch.Generator().manual_seed(settings.seed)).to(device)

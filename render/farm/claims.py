@@ -17,14 +17,14 @@ from dataclasses import dataclass
 from errno import EACCES, EAGAIN, ENOLCK, ENOTSUP
 from pathlib import Path
 
-from scenegen import Refusal
+from scenegen import NightError
 
 _CLAIMS, _RUN = ".claims", ".run"
 _NO_LOCKS = (ENOLCK, ENOTSUP)
 _MOST_RUNS, _MOST_BYTES = 16, 4096  # that a claim file remembers attempts of
 
 
-class OtherRunError(Refusal):
+class OtherRunError(NightError):
     """Another command renders the same dataset with other settings."""
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from render.backend import Device, gpu_ids, select_variant
-from scenegen import Refusal
+from scenegen import NightError
 
 if TYPE_CHECKING:
     from dask_jobqueue.core import JobQueueCluster
@@ -47,7 +47,7 @@ _CONNECT_S = 10
 _ANY_LOCAL_PORT = "127.0.0.1:0"  # for the diagnostics page, whose usual port may be taken
 
 
-class ClusterError(Refusal):
+class ClusterError(NightError):
     """No workers to render with: a scheduler out of reach, or a cluster file that is not understood."""
 
 

@@ -19,7 +19,7 @@ from render.farm.claims import attempts_of
 from render.farm.inventory import known_recipe
 from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
 from render.settings import RenderSettings
-from scenegen import Dataset, FailureRecord, Refusal, write_failure
+from scenegen import Dataset, FailureRecord, NightError, write_failure
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -33,7 +33,7 @@ _MOST_UNBEGUN_DEATHS = 5  # workers that die before they begin a scene
 log = logging.getLogger(__name__)
 
 
-class QueueError(Refusal):
+class QueueError(NightError):
     """Rendering cannot go on: a full disk, no device, no worker, no scheduler."""
 
 

@@ -13,14 +13,14 @@ from itof import unambiguous_range_m
 from render.farm.plan import size
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT
-from scenegen import Dataset, Preset, Refusal
+from scenegen import Dataset, NightError, Preset
 
 CARD_FILE = "README.md"
 CONTACT_SHEET, DISTRIBUTIONS = "preview/contact_sheet.png", "preview/distributions.png"
 _MARK = re.compile(r"<!-- night-gen preview writes this file; licence: (?P<licence>.*) -->")
 
 
-class CardError(Refusal):
+class CardError(NightError):
     """A licence that cannot stand in a card."""
 
 

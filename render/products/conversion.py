@@ -17,7 +17,7 @@ from render.farm.claims import joined_run
 from render.settings import IMAGES, SCENE_TRANSIENT, TRANSIENTS
 from scenegen import (
     Dataset,
-    Refusal,
+    NightError,
     open_dataset,
     read_record,
     sha256_of,
@@ -27,7 +27,7 @@ from scenegen import (
 )
 
 
-class ExportError(Refusal):
+class ExportError(NightError):
     """A rendered scene that cannot be turned into what was asked for."""
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from scenegen import Refusal
+from scenegen import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -18,7 +18,7 @@ HIDDEN_PREFIX = "hidden_object"
 _CURVE_BITS = 10  # of each coordinate along the space-filling curve
 
 
-class HiddenSurfaceError(Refusal):
+class HiddenSurfaceError(NightError):
     """A hidden object that cannot be sampled."""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.transport.hidden_surface import hidden_shapes
-from scenegen import Refusal
+from scenegen import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -18,7 +18,7 @@ _PIXELS = (64, 48)
 USE_PATH = "render this scene with --method path"
 
 
-class SceneError(Refusal):
+class SceneError(NightError):
     """A scene that a method cannot render."""
 
 

@@ -18,15 +18,15 @@ from typing import TypeVar
 
 from scenegen.dataset import Dataset
 from scenegen.making.generation import NO_MESHES, Maker, finish, prepare, reported, write_scene
+from scenegen.night_error import NightError
 from scenegen.preset import Preset
-from scenegen.refusal import Refusal
 from scenegen.scene import Scene
 
 _Result = TypeVar("_Result")
 _CHUNK = 16  # scenes a worker makes at a time: tens of milliseconds, so that progress shows
 
 
-class WorkerError(Refusal):
+class WorkerError(NightError):
     """A worker process that ended before its work did."""
 
 

@@ -12,8 +12,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from scenegen.night_error import NightError
 from scenegen.preset import MESH_PREFIX, Preset, Shape
-from scenegen.refusal import Refusal
 
 MAX_TRIANGLES = 2_000_000  # 26 MB a PLY file; Blender takes seconds for each of them
 MAX_FILE_BYTES = 2**30  # two million triangles as text are about half of it
@@ -21,7 +21,7 @@ _EXTENT_RANGE = (1e-30, 1e30)  # squares of what lies outside leave float64's ra
 _FLOAT32_STEP = float(np.finfo(np.float32).eps)  # coordinates in the unit box are known to this
 
 
-class MeshError(Refusal):
+class MeshError(NightError):
     """A mesh file that is missing, cannot be read, or holds no surface."""
 
 

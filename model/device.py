@@ -1,0 +1,37 @@
+"""The device that computes, and the number type of its convolutions."""
+
+from __future__ import annotations
+
+import torch
+
+from model.settings import DeviceName, Precision
+from scenegen import NightError
+
+
+class DeviceError(NightError):
+    """A device that this machine does not have."""
+
+
+def choose_device(name: DeviceName) -> torch.device:
+    """The device to compute on.
+
+    Raises
+    ------
+    DeviceError : cuda where there is none.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise DeviceError("there is no CUDA device that PyTorch can use: choose device cpu or auto")
+    return torch.device(name)
+
+
+def number_type(precision: Precision, device: torch.device) -> torch.dtype:
+    """What the convolutions of a training compute in; ``auto`` is what is fast on `device`."""
+    if precision == "auto":
+        able = torch.cpu.get_capabilities()
+        fast = able.get("avx512_bf16") or able.get("amx_bf16")
+        if device.type == "cuda":
+            fast = torch.cuda.is_bf16_supported(including_emulation=False)
+        precision = "bfloat16" if fast else "float32"
+    return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[precision]
