@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := demo
 
-.PHONY: setup demo test lint clean
+.PHONY: setup demo test test-long lint clean
 
 setup: $(VENV)/.installed
 
@@ -19,8 +19,13 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# What to run before a commit.
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not long"
+
+# Kill campaigns, thousands of scenes, convergence studies.
+test-long: setup
+	$(BIN)/pytest -m long
 
 # Scenes, renders and training go on where an interrupted demo stopped; `make clean` starts over.
 demo: setup

@@ -1,7 +1,8 @@
-"""The paper's ablations, and one of the channels: every row of the table trained and judged the same way.
+"""The paper's ablations, and one of the input channels: trains and evaluates every row of the table.
 
-A row is the preset of that name in data/training without what it extends, laid over --preset. Runs that
-were interrupted go on, finished ones are only judged, so the table can be made in several sittings.
+A row takes the preset of its name in data/training, without the preset that it extends, and applies it on
+top of --preset. Interrupted runs continue and finished runs are only evaluated, so the table can be made
+in steps.
 
     .venv/bin/python benchmarks/ablations.py mydata --out ablations --width 16 --max-epochs 30 --seeds 2
 """
@@ -17,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.data.feed import Feed
-from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.network.metrics import Summary, image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import Predictor, load
@@ -98,7 +98,7 @@ def judged(
 ) -> Summary:
     """Metrics of some rows; `reference` (H, W, F) instead of the direct return of the run's own wall."""
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
-    feed: Feed[RowBlock] = Feed(shards, rows, window_rows=0)
+    feed = Feed(shards, rows, window_rows=0)
     metrics = []
     for block in feed.in_order(BATCH):
         found = predictor.predict(block.complex_phasors()[..., places], reference)

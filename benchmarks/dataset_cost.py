@@ -1,7 +1,7 @@
-"""What a dataset costs: scenes an hour of every stage here, and what that makes of 1344 and 100,000 scenes.
+"""Time of every stage of a dataset on this machine, and a projection to 1344 and 100,000 scenes.
 
-Stages are measured on this machine, the scheduler's share with jobs that do nothing; the projection is
-cost a scene / workers, or the scheduler's share if that is more. A worker is one like this machine.
+The scheduler's time is measured with empty jobs. The projection is the larger of time per scene / workers
+and the scheduler's time per scene. A worker is a machine like this one.
 
     .venv/bin/python benchmarks/dataset_cost.py --size 160x120
 """
@@ -19,8 +19,8 @@ from model.data.shards import open_shards
 from render.farm.clusters import connected
 from render.farm.jobs import Job, Outcome
 from render.farm.queue import RenderQueue
+from render.options import ManyLightOptions
 from render.settings import RenderSettings
-from render.transport.method import MethodOptions
 from scenegen import Dataset, open_dataset
 
 WARM_UP = 7  # one of each class: all kernels are compiled then
@@ -41,7 +41,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         root = Path(folder)
         costs = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", (320, 240), 1344) / 1344}
-        settings = RenderSettings(options=MethodOptions(error=given.error))
+        settings = RenderSettings(options=ManyLightOptions(error=given.error))
         made_scenes(root / "data", (width, height), given.scenes)
         dataset = open_dataset(root / "data")
         with connected(workers=1, scheduler=None, cluster_file=None, device="auto") as client:

@@ -1,4 +1,4 @@
-"""The four scenes that the rendering benchmarks measure: roughness 0.3 to 0.9, one of them a composite."""
+"""The four scenes of the rendering benchmarks: roughness 0.3 to 0.9, one of them a composite."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,7 @@
-"""Does ``many-light`` agree with the path tracer? Ratio of image sums and scatter of pixels, on four scenes.
+"""Compare ``many-light`` with the path tracer on four scenes: ratio of image sums, and scatter of the pixels.
 
-Many independent path-traced renders give the path tracer's mean and its own noise; the ratio of image sums
-should be 1 within that noise, and the mean square of the pixels' differences over the noise should be 1. Run:
+Many independent path-traced renders give the path tracer's mean and its noise. The ratio of image sums
+should be 1 within that noise. The mean square of (pixel difference / noise) should be 1. Run:
 
     .venv/bin/python benchmarks/path_agreement.py
 """
@@ -13,8 +13,9 @@ from four_scenes import four_scenes
 
 from itof import MeasurementMatrix, TransientLayout
 from render.backend import select_variant
+from render.options import ManyLightOptions, PathOptions
 from render.transport.many_light import ManyLight
-from render.transport.method import MethodOptions, View
+from render.transport.method import View
 from render.transport.path_tracer import PathTracer
 
 HZ = (20e6, 50e6, 60e6)
@@ -36,9 +37,9 @@ def main() -> None:
     with four_scenes() as scenes:
         for name, dataset, scene_id in scenes:
             scene = mi.load_file(str(dataset.scene_folder(scene_id) / "scene.xml"), optimize=False)
-            lights = ManyLight(MethodOptions(lights=8192), variant).expose(scene, View(layout, HZ, 3, 1))
-            image = lights.phasors(HZ)
-            tracer = PathTracer(MethodOptions(spp=given.spp), variant)
+            lights = ManyLight(ManyLightOptions(lights=8192), variant).expose(scene, View(layout, HZ, 3, 1))
+            image = lights.phasors()
+            tracer = PathTracer(PathOptions(spp=given.spp), variant)
             runs = np.array(
                 [
                     phi.apply_streaming(tracer.expose(scene, View(layout, HZ, 3, seed)).row_blocks())

@@ -1,7 +1,7 @@
-"""How much noise the path tracer leaves on the hidden signal, and what a path costs.
+"""Noise of the path tracer on the hidden signal, and paths per second.
 
-Renders a few scenes twice with different seeds; half the squared difference is the variance, and it is
-divided by the hidden signal itself (a long render less its one-bounce part), not by the total. Run:
+Renders a few scenes twice with different seeds. Half the squared difference is the variance. The error is
+relative to the hidden signal (a long render minus its one-bounce part), not to the total. Run:
 
     .venv/bin/python benchmarks/path_noise.py
 """
@@ -15,7 +15,8 @@ import numpy as np
 
 from itof import TransientLayout, phasors
 from render.backend import select_variant
-from render.transport.method import MethodOptions, View
+from render.options import PathOptions
+from render.transport.method import View
 from render.transport.path_tracer import PathTracer
 from scenegen import preset_from_dict
 from scenegen.making.blender import BlenderMaker
@@ -48,7 +49,7 @@ def main() -> None:
             def measure(spp, seed, bounces=3, scene=scene):
                 started = time.perf_counter()
                 view = View(layout, FREQUENCIES_HZ, bounces, seed)
-                blocks = list(PathTracer(MethodOptions(spp=spp), variant).expose(scene, view).row_blocks())
+                blocks = list(PathTracer(PathOptions(spp=spp), variant).expose(scene, view).row_blocks())
                 seconds = time.perf_counter() - started
                 return phasors(np.concatenate(blocks), FREQUENCIES_HZ, layout.bin_width_m), seconds
 

@@ -1,7 +1,8 @@
-"""What a QVGA scene pair costs with ``many-light``: seconds, memory, and how cost grows.
+"""Time and memory of ``many-light`` for a scene pair at 320 x 240, and how the time grows.
 
-A scene pair is a scene and its mirrored twin, all files written. The first scene warms the kernels and is not
-counted. Run (each product in a process of its own, because memory is the process's peak):
+A scene pair is a scene and its mirrored scene, with all files written. The first scene compiles the
+kernels and is not counted. Run each product in a separate process, because memory is the peak of the
+process:
 
     .venv/bin/python benchmarks/render_cost.py itof
     .venv/bin/python benchmarks/render_cost.py transient
@@ -18,11 +19,12 @@ from four_scenes import four_scenes
 
 from itof import TransientLayout, read_image
 from render.backend import select_variant
+from render.options import ManyLightOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
 from render.transport.gather_pass import Grid, gather_lights, gauss_rule
 from render.transport.many_light import ManyLight
-from render.transport.method import MethodOptions, View
+from render.transport.method import View
 
 HZ = (20e6, 50e6, 60e6)
 
@@ -34,7 +36,7 @@ def pairs(product: str, error: float) -> None:
     with four_scenes() as scenes:
         for warm in (True, False):
             for name, dataset, scene_id in scenes[: 1 if warm else None]:
-                settings = RenderSettings(product=product, options=MethodOptions(error=error))
+                settings = RenderSettings(product=product, options=ManyLightOptions(error=error))
                 renderer = Renderer(dataset, settings)
                 started = time.perf_counter()
                 renderer.render(scene_id)
@@ -64,7 +66,9 @@ def growth() -> None:
         def gather(width, lights, scene=scene):
             layout = TransientLayout(width, width * 3 // 4, 2000, 0.01, 0.0)
             made = (
-                ManyLight(MethodOptions(lights=lights), variant).expose(scene, View(layout, HZ, 3, 1)).lights
+                ManyLight(ManyLightOptions(lights=lights), variant)
+                .expose(scene, View(layout, HZ, 3, 1))
+                .lights
             )
             grid = Grid(layout.width, layout.height)
             gather_lights(scene, grid, HZ, gauss_rule(1), made)
@@ -90,7 +94,7 @@ def growth() -> None:
             print(f"  {len(mesh.faces):7d} triangles: {seconds:7.2f} s {rate:7.1f} M/s")
         for bins in (500, 2000, 8000):
             layout = TransientLayout(80, 60, bins, 20 / bins, 0.0)
-            exposure = ManyLight(MethodOptions(lights=1024), variant).expose(scene, View(layout, HZ, 3, 1))
+            exposure = ManyLight(ManyLightOptions(lights=1024), variant).expose(scene, View(layout, HZ, 3, 1))
             started = time.perf_counter()
             for _ in exposure.row_blocks():
                 pass

@@ -1,9 +1,10 @@
-"""Equal-error time of ``many-light`` against stock mitransient ``transient_path``, in one run.
+"""Time at equal error of ``many-light`` and of mitransient's own ``transient_path``, in one run.
 
-For each of four scenes: the noise of the hidden 60 MHz phasors of both methods (half the squared difference
-of two seeds, relative to the hidden signal) and their time; error² x time is what a method needs for a given
-error, and the ratio of the two says how many times faster the one is. The stock method's *bias* (box bins,
-paths that start at the near clip plane) is not counted, in its favour. Run:
+For each of four scenes, measures the noise of the hidden 60 MHz phasors of both methods (half the squared
+difference of two seeds, relative to the hidden signal) and their time. The product error² x time is
+proportional to the time for a given error; the ratio of both products says how many times faster ``many-
+light`` is. The bias of the stock method (box bins, paths that start at the near clip plane) is not
+counted, in its favour. Run:
 
     .venv/bin/python benchmarks/render_efficiency.py
 """
@@ -16,8 +17,9 @@ from four_scenes import four_scenes
 
 from itof import TransientLayout, phasors
 from render.backend import select_variant
+from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight
-from render.transport.method import MethodOptions, View
+from render.transport.method import View
 
 HZ = (60e6,)
 
@@ -40,15 +42,15 @@ def main() -> None:
         for name, dataset, scene_id in scenes:
             scene = mi.load_file(str(dataset.scene_folder(scene_id) / "scene.xml"), optimize=False)
             view = View(layout, HZ, 3, 1)
-            fine = ManyLight(MethodOptions(lights=8192), variant).expose(scene, view).phasors(HZ).hidden
+            fine = ManyLight(ManyLightOptions(lights=8192), variant).expose(scene, view).phasors().hidden
             norm = np.linalg.norm(fine)
 
             def many_light(seed, scene=scene):
                 view = View(layout, HZ, 3, seed)
                 return (
-                    ManyLight(MethodOptions(lights=given.lights), variant)
+                    ManyLight(ManyLightOptions(lights=given.lights), variant)
                     .expose(scene, view)
-                    .phasors(HZ)
+                    .phasors()
                     .total
                 )
 

@@ -1,8 +1,8 @@
-"""What shards cost: seconds and memory to build, to open and to read them once, on a synthetic dataset.
+"""Time and memory to build shards, to open them and to read them once, on a synthetic dataset.
 
-Each step runs in a process of its own, because memory is the process's peak; its imports alone take what
-the first line says. Streaming holds one piece and reads the next ahead. The pages the disk's cache holds are
-given back before both epochs where the system allows it. Run:
+Each step runs in a separate process, because memory is the peak of the process. The first line is for the
+imports alone. Streaming holds one piece and reads the next one ahead. Before both epochs, the disk cache
+is dropped where the system allows it. Run:
 
     .venv/bin/python benchmarks/shard_cost.py [--scenes 160] [--size 320x240]
 """

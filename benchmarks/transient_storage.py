@@ -1,10 +1,10 @@
-"""What a transient costs on disk: size, seconds and memory of our layout under every lossless compression.
+"""Size, time and memory of a transient on disk, in our layout with every lossless compression.
 
-Renders one scene (a sphere, wall roughness 0.3) with many-light, or with the path tracer, and writes it
-again as scanlines of an EXR file (docs/files.md) and as the HDF5 file of ``render.products.tal_export``,
-(T, W, H) in chunks. Every file is compared with the rendered bits. Times are of calls with warm caches,
-without waiting for the disk; memory is the peak of a process that only writes, or only reads, 64 MiB of rows
-at a time. Run:
+Renders one scene (a sphere, wall roughness 0.3) with many-light or with the path tracer. Writes it as
+scanlines of an EXR file (docs/files.md), and as the HDF5 file of ``render.products.tal_export``, (T, W,
+H) in chunks. Every file is compared with the rendered bits. Times are for calls with warm caches, without
+waiting for the disk. Memory is the peak of a process that only writes, or only reads, 64 MiB of rows at a
+time. Run:
 
     .venv/bin/python benchmarks/transient_storage.py
     .venv/bin/python benchmarks/transient_storage.py --method path --spp 64
@@ -28,9 +28,9 @@ import OpenEXR
 
 from itof import TransientLayout, TransientReader
 from itof.exr import TRANSIENT_CHANNEL
+from render.options import ManyLightOptions, PathOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from render.transport.method import MethodOptions
 
 EXR = ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "ZSTD")  # PXR24, B44 and DWA are lossy for floats
 HDF5 = {
@@ -175,7 +175,8 @@ def unpack(transient: Path, raw: Path) -> tuple[TransientLayout, float]:
 
 def render(settings: RenderSettings, raw: Path) -> tuple[TransientLayout, float]:
     """Render the first of the four scenes and unpack its transient."""
-    from four_scenes import four_scenes  # a process that has loaded bpy cannot spawn another (DESIGN 4.13)
+    # Imported late: a process that has loaded bpy cannot spawn another (docs/design.md, Blender).
+    from four_scenes import four_scenes
 
     with four_scenes() as scenes:
         _, dataset, scene_id = scenes[0]
@@ -193,9 +194,8 @@ def main() -> None:
     given = arguments.parse_args()
     width, height = map(int, given.size.split("x"))
     settings = RenderSettings(
-        method=given.method,
         product="both",
-        options=MethodOptions(spp=given.spp),
+        options=PathOptions(spp=given.spp) if given.method == "path" else ManyLightOptions(),
         resolution=(width, height),
     )
     with TemporaryDirectory() as folder:

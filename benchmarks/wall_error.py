@@ -1,6 +1,6 @@
-"""What a relay wall costs that does not stand where the reference puts it: metrics against its error in mm.
+"""Effect of a wrong position of the relay wall: metrics for several errors in mm.
 
-The measurement stays, the wall of the computed direct return is moved along its normal.
+The measurement stays the same. The wall of the computed direct return is moved along its normal.
 
     .venv/bin/python benchmarks/wall_error.py myrun mydata
 """

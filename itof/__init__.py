@@ -5,6 +5,7 @@ Arrays are numpy, image axes are (..., H, W, F) or (..., H, W, T), lengths are m
 """
 
 from itof.channels import network_channels, phasors_of_channels, phasors_of_residual, residual_channels
+from itof.depth_map import DepthMap
 from itof.direct import direct_phasors
 from itof.exr import (
     Image,
@@ -32,6 +33,7 @@ from itof.unwrapping import combined_range_m, unwrap_depth
 
 __all__ = [
     "SPEED_OF_LIGHT",
+    "DepthMap",
     "Image",
     "ImageFileError",
     "MeasurementMatrix",

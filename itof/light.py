@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
 
-SPEED_OF_LIGHT = 299_792_458.0  # m/s, exact by SI definition
+SPEED_OF_LIGHT: float = speed_of_light  # m/s, exact by SI definition
 
 
 def phase_per_metre(frequency_hz: ArrayLike) -> NDArray[np.float64]:

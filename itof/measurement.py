@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike, NDArray
 
 from itof.light import SPEED_OF_LIGHT, phase_per_metre
@@ -128,10 +129,13 @@ def phasors(
     return MeasurementMatrix(tuple(frequencies_hz), x.shape[-1], bin_width_m, start_opl_m).apply(x)
 
 
-def join_components(components: ArrayLike) -> NDArray[np.complex128]:
-    """(..., 2F) reals, cosine rows then sine rows, to (..., F) complex phasors."""
-    z = np.asarray(components)
-    frequency_count = z.shape[-1] // 2  # cosine and sine halves, not a path length
+def join_components(components: Any) -> Any:
+    """(..., 2F) reals, F real parts, then F imaginary parts, to (..., F) complex phasors.
+
+    Numpy arrays, or arrays of another library of the array API; the result is of the same library.
+    """
+    z = components if is_array_api_obj(components) else np.asarray(components)
+    frequency_count = z.shape[-1] // 2
     return z[..., :frequency_count] + 1j * z[..., frequency_count:]
 
 

@@ -9,8 +9,6 @@ line an epoch) and ``log/`` (TensorBoard).
 from __future__ import annotations
 
 import csv
-import pickle
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import fields
@@ -29,11 +27,10 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.network.wall_view import WallView
 from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
-from scenegen import NightError, PresetError, whole_file, write_text
-from scenegen.preset import STRICT, Positive, WholeCount, checked
+from scenegen import NightError, whole_file, write_text
+from scenegen.contract import STRICT, Positive, WholeCount, checked
 
 RUN_SCHEMA: Final = 2
-CHECKPOINT_KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
 
 
 class RunError(NightError):
@@ -121,10 +118,7 @@ def read_config(folder: Path) -> RunConfig:
             f"{file} has schema version {schema}, this program reads version {RUN_SCHEMA}: "
             "train again, or use the version of NIGHT that made it"
         )
-    try:
-        config: RunConfig = checked(TypeAdapter(RunConfig), text, str(file))
-    except PresetError as error:
-        raise RunError(str(error)) from None
+    config: RunConfig = checked(TypeAdapter(RunConfig), text, str(file), RunError)
     return config
 
 
@@ -189,38 +183,6 @@ def fill(network: UNet, weights: Mapping[str, Tensor], file: Path) -> None:
             f"{found.get(name, 'missing')}, expected {expected.get(name, 'no such weight')}"
         )
     network.load_state_dict(dict(weights))
-
-
-def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
-    """Write ``checkpoint.pt``: tensors, numbers and text only; `state` has the keys of CHECKPOINT_KEYS."""
-    with whole_file(folder / "checkpoint.pt") as partial:
-        torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
-
-
-def load_checkpoint(folder: Path) -> dict[str, Any] | None:
-    """Read ``checkpoint.pt`` into memory; None when there is none yet.
-
-    Raises
-    ------
-    RunError : a damaged or foreign file.
-    """
-    file = folder / "checkpoint.pt"
-    if not file.is_file():
-        return None
-    try:
-        with warnings.catch_warnings():  # torch warns of pickles that it then refuses
-            warnings.simplefilter("ignore", UserWarning)
-            state = torch.load(file, map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
-    except (RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
-        raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
-    if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:
-        raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: train again from the start")
-    missing = CHECKPOINT_KEYS - state.keys()
-    if missing:
-        raise RunError(f"{file} lacks {' and '.join(sorted(missing))}: train again from the start")
-    return state
 
 
 def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,23 +13,20 @@ from numpy.typing import NDArray
 
 from itof import MeasurementMatrix, TransientWriter, phasor_channels, write_image
 from render.backend import select_variant
-from render.settings import (
-    GROUND_TRUTH,
-    IMAGES,
-    MEASUREMENT,
-    MIRRORED_TRANSIENT,
-    SCENE_TRANSIENT,
-    TRANSIENTS,
-    RenderError,
-    RenderSettings,
-)
+from render.settings import RenderError, RenderSettings
 from render.transport.hidden_surface import HiddenSurfaceError
 from render.transport.method import Exposure, View
 from render.transport.methods import METHODS
 from render.transport.mirrored import trace_ground_truth
 from render.transport.scene_checks import SceneError
 from scenegen import (
+    GROUND_TRUTH_FILE,
+    IMAGE_FILES,
+    MEASUREMENT_FILE,
+    MIRRORED_TRANSIENT_FILE,
     RECORD_FILE,
+    TRANSIENT_FILE,
+    TRANSIENT_FILES,
     Dataset,
     FileRecord,
     RenderRecord,
@@ -44,9 +40,6 @@ from scenegen import (
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-# One bounce has no Monte Carlo noise but the pixel's own footprint, which 256 stratified paths integrate.
-_MIRRORED_SPP = 256
 
 
 class Renderer:
@@ -73,8 +66,7 @@ class Renderer:
         self.variant = select_variant(settings.device)
         make = METHODS[settings.method]
         self._method = make(settings.options, self.variant)
-        mirrored = replace(settings.options, spp=min(settings.options.spp, _MIRRORED_SPP))
-        self._mirrored_method = make(mirrored, self.variant)
+        self._mirrored_method = make(settings.options.for_one_bounce(), self.variant)
 
     def render(self, scene_id: str) -> RenderRecord:
         """Render a scene and its mirrored twin into ``renders/<id>/``; returns the record written there last.
@@ -94,7 +86,8 @@ class Renderer:
         attributes = {**self._attributes(scene_id), "recipe": recipe}
         measured = self._render_measurement(scene, attributes)
         self._render_mirrored(scene, attributes)
-        files = {name: folder / name for name in (*TRANSIENTS, *IMAGES) if (folder / name).is_file()}
+        names = (*TRANSIENT_FILES, *IMAGE_FILES)
+        files = {name: folder / name for name in names if (folder / name).is_file()}
         record = RenderRecord(
             recipe=recipe,
             attributes={name: text for name, text in measured.items() if name != "recipe"},
@@ -111,11 +104,11 @@ class Renderer:
             exposure = self._method.expose(self._load(scene.id, "scene.xml"), view)
         except (SceneError, HiddenSurfaceError) as error:
             raise RenderError(f"scene {scene.id}: {error}") from None
-        exact = exposure.phasors(self.frequencies_hz)
+        exact = exposure.phasors()
         attributes = {**attributes, **exposure.attributes, "seed": str(view.seed)}
         binned = None
         if self.settings.wants_transients:
-            binned = self._write_rows(exposure, folder / SCENE_TRANSIENT, attributes)
+            binned = self._write_rows(exposure, folder / TRANSIENT_FILE, attributes)
         if exact is not None:
             parts = {"itof": exact.total, "direct": exact.direct, "hidden": exact.hidden}
         elif binned is not None:
@@ -127,7 +120,7 @@ class Renderer:
         channels: dict[str, NDArray[np.float32]] = {}
         for prefix, phasor in parts.items():
             channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
-        self._write(folder / MEASUREMENT, channels, attributes)
+        self._write(folder / MEASUREMENT_FILE, channels, attributes)
         return attributes
 
     def _render_mirrored(self, scene: Scene, attributes: dict[str, str]) -> None:
@@ -139,15 +132,10 @@ class Renderer:
             view = View(self.layout, self.frequencies_hz, 1, seed)
             exposure = self._mirrored_method.expose(mirrored, view)
             more = {**exposure.attributes, "seed": str(seed)}
-            self._write_rows(exposure, folder / MIRRORED_TRANSIENT, attributes | more)
-        truth = trace_ground_truth(mirrored, self.layout.width, self.layout.height)
-        reference_hz = self.frequencies_hz[0]
-        channels: dict[str, NDArray[np.float32]] = {
-            "depth.R": truth.radial_depth_m.astype(np.float32),
-            "mask.M": truth.mask.astype(np.float32),
-            **phasor_channels(truth.phasor(reference_hz)[..., None], [reference_hz]),
-        }
-        self._write(folder / GROUND_TRUTH, channels, attributes)
+            self._write_rows(exposure, folder / MIRRORED_TRANSIENT_FILE, attributes | more)
+        size = (self.layout.width, self.layout.height)
+        channels = trace_ground_truth(mirrored, *size, self.frequencies_hz[0]).channels()
+        self._write(folder / GROUND_TRUTH_FILE, channels, attributes)
 
     def _write_rows(
         self, exposure: Exposure, path: Path, attributes: dict[str, str]
@@ -201,7 +189,7 @@ def _forget_earlier(folder: Path, recipe: str) -> None:
     kept = record.files if record is not None and record.recipe == recipe else {}
     (folder / RECORD_FILE).unlink(missing_ok=True)
     remove_failure(folder)
-    for name in TRANSIENTS:
+    for name in TRANSIENT_FILES:
         file = folder / name
         if file.is_file() and (name not in kept or sha256_of(file) != kept[name].sha256):
             file.unlink()

@@ -5,20 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from itof import TransientLayout
 from render.backend import Device
-from render.transport.method import MethodOptions
-from render.transport.methods import DEFAULT_METHOD, METHODS
-from scenegen import Dataset, NightError, RenderingProvenance
+from render.options import ManyLightOptions, MethodOptions, recipe_options, recorded_options
+from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, NightError, RenderingRecord
 
 Product = Literal["transient", "itof", "both"]
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
-MEASUREMENT, GROUND_TRUTH = "itof.exr", "mirrored.exr"
-SCENE_TRANSIENT, MIRRORED_TRANSIENT = "transient.exr", "mirrored_transient.exr"
-IMAGES, TRANSIENTS = (MEASUREMENT, GROUND_TRUTH), (SCENE_TRANSIENT, MIRRORED_TRANSIENT)
 _MOST_PIXELS = 2**26  # all of an image's rays are in flight at once for the ground truth
 _WORKING_COPIES = 4  # of a block of rows: bins, numpy's copy, a sum in double precision
 
@@ -33,31 +29,27 @@ class RenderSettings:
 
     Attributes
     ----------
-    method : name of a rendering method.
     product : ``itof``: phasors and ground truth; ``transient`` or ``both``: transients as well.
-    options : what the method can be told.
+    options : of the rendering method, which they name.
     max_bounces : surfaces that light may meet, instead of the preset's.
     device : auto, cpu or cuda.
     resolution : (width, height) instead of the preset's, with the same aspect ratio.
     """
 
-    method: str = DEFAULT_METHOD
     product: Product = "itof"
-    options: MethodOptions = field(default_factory=MethodOptions)
+    options: MethodOptions = field(default_factory=ManyLightOptions)
     max_bounces: int | None = None
     device: Device = "auto"
     resolution: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise RenderError(f"no rendering method {self.method}: choose {' or '.join(sorted(METHODS))}")
         if self.product not in PRODUCTS:
             raise RenderError(f"no product {self.product}: choose one of {', '.join(PRODUCTS)}")
-        if not self.options.error > 0:
-            raise RenderError(f"the hidden-signal error must be above 0, got {self.options.error}")
-        for name, value in (("spp", self.options.spp), ("lights", self.options.lights)):
-            if value is not None and value < 1:
-                raise RenderError(f"--{name} must be at least 1, got {value}")
+
+    @property
+    def method(self) -> str:
+        """Name of the rendering method."""
+        return self.options.method
 
     @property
     def wants_transients(self) -> bool:
@@ -67,7 +59,7 @@ class RenderSettings:
     @property
     def files(self) -> tuple[str, ...]:
         """Names of the files that a scene's render folder must hold."""
-        return (*TRANSIENTS, *IMAGES) if self.wants_transients else IMAGES
+        return (*TRANSIENT_FILES, *IMAGE_FILES) if self.wants_transients else IMAGE_FILES
 
     def layout(self, dataset: Dataset) -> TransientLayout:
         """Image size and time axis of a dataset rendered so.
@@ -113,7 +105,7 @@ class RenderSettings:
         layout = self.layout(dataset)
         return {
             "method": self.method,
-            "options": asdict(self.options),
+            "options": recipe_options(self.options),
             "max_bounces": self.bounces(dataset),
             "size": [layout.width, layout.height],
             "bins": [layout.bin_count, layout.bin_width_m, layout.start_opl_m],
@@ -141,8 +133,8 @@ def read_recipe(recipe: str) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def settings_of(rendering: RenderingProvenance, dataset: Dataset) -> RenderSettings:
-    """The settings that a dataset was rendered with, from its ``dataset.json``.
+def settings_of(rendering: RenderingRecord, dataset: Dataset) -> RenderSettings:
+    """The settings that a dataset was rendered with, from its record.
 
     Raises
     ------
@@ -153,16 +145,15 @@ def settings_of(rendering: RenderingProvenance, dataset: Dataset) -> RenderSetti
     bounces = rendering.max_bounces
     try:
         return RenderSettings(
-            method=rendering.method,
             product=rendering.product,  # type: ignore[arg-type]
-            options=MethodOptions(**rendering.options),  # type: ignore[arg-type]
+            options=recorded_options(rendering.method, rendering.options),
             max_bounces=None if bounces == dataset.preset.transient.max_bounces else bounces,
             resolution=None if size == (camera.width, camera.height) else size,
         )
     except (TypeError, ValueError) as error:
         raise RenderError(
-            f"the key rendering of {dataset.root / 'dataset.json'} cannot be used ({error}): delete it and "
-            "give the settings anew"
+            f"{dataset.renders / RENDERING_FILE} cannot be used ({error}): delete it and give the settings "
+            "anew"
         ) from None
 
 

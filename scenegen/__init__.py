@@ -4,11 +4,11 @@
 """
 
 from scenegen.chatter import silenced
+from scenegen.contract import ContractError
 from scenegen.dataset import (
     Dataset,
     DatasetError,
     DatasetIndex,
-    RenderingProvenance,
     SceneEntry,
     build_index,
     open_dataset,
@@ -18,8 +18,15 @@ from scenegen.files.file_hashes import FileHashes, sha256_of
 from scenegen.files.whole_files import is_partial, whole_file, whole_folder, write_text
 from scenegen.night_error import NightError
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
-from scenegen.preset import Preset, PresetError, data_folder, load_preset, preset_from_dict, read_settings
+from scenegen.preset import Preset, load_preset, preset_from_dict
+from scenegen.preset_files import PresetError, data_folder, read_settings
 from scenegen.render_folder import (
+    GROUND_TRUTH_FILE,
+    IMAGE_FILES,
+    MEASUREMENT_FILE,
+    MIRRORED_TRANSIENT_FILE,
+    TRANSIENT_FILE,
+    TRANSIENT_FILES,
     RECORD_FILE,
     FailureRecord,
     FileRecord,
@@ -30,12 +37,26 @@ from scenegen.render_folder import (
     write_failure,
     write_record,
 )
+from scenegen.rendering_record import (
+    RENDERING_FILE,
+    RenderingRecord,
+    read_rendering_record,
+    write_rendering_record,
+)
 from scenegen.sampling import SamplingError, leaks, sample_scene, sample_valid_scene
 from scenegen.scene import Camera, Scene, Split, scene_from_json, scene_id, scene_to_json
 
 __all__ = [
+    "GROUND_TRUTH_FILE",
+    "IMAGE_FILES",
+    "MEASUREMENT_FILE",
+    "MIRRORED_TRANSIENT_FILE",
+    "TRANSIENT_FILE",
+    "TRANSIENT_FILES",
     "RECORD_FILE",
+    "RENDERING_FILE",
     "Camera",
+    "ContractError",
     "Dataset",
     "DatasetError",
     "DatasetIndex",
@@ -46,7 +67,7 @@ __all__ = [
     "Preset",
     "PresetError",
     "RenderRecord",
-    "RenderingProvenance",
+    "RenderingRecord",
     "SamplingError",
     "Scene",
     "SceneEntry",
@@ -61,6 +82,7 @@ __all__ = [
     "preset_from_dict",
     "read_failure",
     "read_record",
+    "read_rendering_record",
     "read_settings",
     "remove_failure",
     "rotation_matrix",
@@ -77,5 +99,6 @@ __all__ = [
     "write_failure",
     "write_index",
     "write_record",
+    "write_rendering_record",
     "write_text",
 ]

@@ -13,17 +13,19 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from scenegen.contract import STRICT, ContractError, checked
 from scenegen.files.whole_files import write_text
 from scenegen.night_error import NightError
-from scenegen.preset import STRICT, Preset, WholeCount, checked
+from scenegen.preset import Preset
+from scenegen.rendering_record import RenderingRecord, read_rendering_record
 from scenegen.scene import Scene, Split, scene_from_json, scene_id
 
-DATASET_SCHEMAS = (1, 2)  # readable; the newest is written, and 1 lacks all that has a default below
+DATASET_SCHEMAS = (1, 2, 3)  # readable; the newest is written
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
 
@@ -41,38 +43,12 @@ class SceneEntry:
 
 
 @dataclass(frozen=True, config=STRICT)
-class RenderingProvenance:
-    """How a dataset was rendered, for the record.
-
-    Attributes
-    ----------
-    method, product, max_bounces : as given to ``night-render``.
-    options : what the method was told, by name.
-    width, height : image size, pixels.
-    packages : versions of the programs that rendered.
-    scene_count : how many scenes are rendered so.
-    hidden_error_median, hidden_error_max : over scenes, the method's estimate of the error of the hidden
-        phasors relative to them; None when it has none.
-    """
-
-    method: str
-    product: str
-    max_bounces: int
-    options: dict[str, int | float | None]
-    width: WholeCount
-    height: WholeCount
-    packages: dict[str, str]
-    scene_count: Annotated[int, Field(ge=0)]
-    hidden_error_median: float | None
-    hidden_error_max: float | None
-
-
-@dataclass(frozen=True, config=STRICT)
 class DatasetIndex:
     """Contents of ``dataset.json``: what was asked for, by what it was made, and the scene list.
 
     `packages` are the versions of the programs that made the scenes, `meshes` the SHA-256 of the mesh files
-    a preset names, `rendering` how the scenes were rendered.
+    a preset names. `rendering` is what datasets up to schema 2 say of their renders; it is not
+    written any more.
     """
 
     generator: str
@@ -83,8 +59,8 @@ class DatasetIndex:
     scenes: Annotated[tuple[SceneEntry, ...], Field(min_length=1)]
     packages: dict[str, str] = Field(default_factory=dict)
     meshes: dict[str, str] = Field(default_factory=dict)
-    rendering: RenderingProvenance | None = None
-    schema_version: Literal[1, 2] = 2
+    rendering: RenderingRecord | None = Field(default=None, exclude_if=lambda value: value is None)
+    schema_version: Literal[1, 2, 3] = 3
 
 
 @plain_dataclass(frozen=True)
@@ -99,9 +75,29 @@ class Dataset:
         """The preset as it was resolved when the dataset was made."""
         return self.index.preset
 
+    @property
+    def rendering(self) -> RenderingRecord | None:
+        """How the dataset was rendered, read now; None when it was not.
+
+        Raises
+        ------
+        ContractError : ``renders/rendering.json`` is damaged.
+        """
+        return read_rendering_record(self.renders) or self.index.rendering
+
+    @property
+    def renders(self) -> Path:
+        """Folder of all that was rendered."""
+        return self.root / "renders"
+
     def ids(self, split: Split | None = None) -> list[str]:
         """Scene ids in order, of one split or of all."""
         return [entry.id for entry in self.index.scenes if split in (None, entry.split)]
+
+    def sentence(self) -> str:
+        """How many scenes there are in each split, for people to read."""
+        parts = [f"{len(self.ids(split))} {split}" for split in get_args(Split)]
+        return f"{len(self.ids())} scenes in {self.root}: {', '.join(parts)}"
 
     def entry(self, scene: str) -> SceneEntry:
         """Class and split of a scene; `DatasetError` when there is no such scene."""
@@ -122,7 +118,7 @@ class Dataset:
 
     def render_folder(self, scene: str) -> Path:
         """Folder of what was rendered of a scene."""
-        return self.root / "renders" / scene
+        return self.renders / scene
 
     @property
     def shard_folder(self) -> Path:
@@ -130,13 +126,18 @@ class Dataset:
         return self.root / "shards"
 
     def scene(self, scene: str) -> Scene:
-        """The scene's data; `DatasetError` when its file is gone, `PresetError` when it is damaged."""
+        """The scene's data; `DatasetError` when its file is missing or damaged."""
         file = self.scene_folder(scene) / "scene.json"
         try:
             text = file.read_text(encoding="utf-8")
         except FileNotFoundError:
             raise DatasetError(f"{file} is missing: run night-gen scenes again") from None
-        return scene_from_json(text, str(file))
+        except UnicodeDecodeError as error:
+            raise DatasetError(f"{file} cannot be read: {error}") from None
+        try:
+            return scene_from_json(text, str(file))
+        except ContractError as error:
+            raise DatasetError(str(error)) from None
 
 
 def build_index(
@@ -171,8 +172,8 @@ def open_dataset(root: Path) -> Dataset:
 
     Raises
     ------
-    DatasetError : no such folder, not a dataset, or one of another schema.
-    PresetError : a ``dataset.json`` against the contract, by key.
+    DatasetError : no such folder, not a dataset, one of another schema, or a ``dataset.json`` that breaks its
+        contract; the message names the key.
     """
     file = root / "dataset.json"
     if not root.is_dir():
@@ -192,4 +193,4 @@ def open_dataset(root: Path) -> Dataset:
             f"{file} has schema version {schema}, this program reads versions up to {DATASET_SCHEMAS[-1]}: "
             "make the dataset again, or use the version of NIGHT that made it"
         )
-    return Dataset(root, checked(TypeAdapter(DatasetIndex), text, str(file)))
+    return Dataset(root, checked(TypeAdapter(DatasetIndex), text, str(file), DatasetError))

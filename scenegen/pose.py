@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.preset import Vector
+from scenegen.contract import Vector
 from scenegen.scene import Camera, Wall
 
 

@@ -1,43 +1,36 @@
-"""Presets: every number of a dataset, read from TOML, checked once."""
+"""Presets: every number of a dataset, with its unit and its allowed range; read from TOML, checked once.
+
+Defaults are the values of Caligiuri et al. 2024 where the paper gives them.
+"""
 
 from __future__ import annotations
 
 import json
-import sysconfig
-import tomllib
-from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
+from scipy.constants import speed_of_light
 
-from scenegen.night_error import NightError
+from scenegen.contract import (
+    STRICT,
+    Degrees,
+    Extent,
+    FieldOfView,
+    Fraction,
+    Length,
+    Location,
+    Metres,
+    Reflectance,
+    Rotation,
+    Roughness,
+    checked,
+)
+from scenegen.preset_files import PresetError, read_settings
+from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
-# m/s, exact; itof has it too, but these two packages import nothing of each other (a test compares them).
-SPEED_OF_LIGHT = 299_792_458.0
-STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-PRIMITIVES = ("cube", "cylinder", "sphere", "cone", "concave_plane", "parallelepiped")
-MESH_PREFIX = "mesh:"  # a shape of the user's own: the prefix, then a file's path from the preset's folder
 Material = Literal["rough", "diffuse"]
-Vector = tuple[float, float, float]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
-Metres = Annotated[float, Field(ge=-1000, le=1000)]
-Degrees = Annotated[float, Field(ge=-360, le=360)]
-Length = Annotated[float, Field(ge=1e-4, le=1000)]  # metres; thinner things vanish in float32 coordinates
-Extent = tuple[Length, Length, Length]
-Location = tuple[Metres, Metres, Metres]
-Rotation = tuple[Degrees, Degrees, Degrees]
-Reflectance = Annotated[float, Field(ge=0, le=1)]
-Roughness = Annotated[float, Field(gt=0, le=1)]
-FieldOfView = Annotated[float, Field(ge=1, le=170)]
-WholeCount = Annotated[int, Field(ge=1)]
 MAX_SCANLINE_VALUES = 2**31  # OpenEXR counts a scanline's values (image width x bins) in 32 bits
-
-
-class PresetError(NightError):
-    """A preset that is missing, cannot be read, or asks for something impossible."""
 
 
 def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -46,22 +39,6 @@ def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-def _known_shape(shape: str) -> str:
-    if shape in PRIMITIVES:
-        return shape
-    if not shape.startswith(MESH_PREFIX):
-        raise ValueError(f'no such shape: give {", ".join(PRIMITIVES)} or "{MESH_PREFIX}FILE"')
-    file = shape.removeprefix(MESH_PREFIX)
-    if not file.isprintable() or not file.strip():
-        raise ValueError(f'"{MESH_PREFIX}" must be followed by the name of a mesh file')
-    if PurePosixPath(file).is_absolute() or PureWindowsPath(file).is_absolute():
-        raise ValueError(
-            "a mesh file is named relative to the preset's own folder, so that others find it too"
-        )
-    return shape
-
-
-Shape = Annotated[str, AfterValidator(_known_shape)]  # one of PRIMITIVES, or "mesh:FILE"
 MetreRange = Annotated[tuple[Metres, Metres], AfterValidator(_ascending)]
 DegreeRange = Annotated[tuple[Degrees, Degrees], AfterValidator(_ascending)]
 
@@ -220,7 +197,7 @@ class Preset:
                 f"camera.width times transient.bin_count must stay below {MAX_SCANLINE_VALUES}, the longest "
                 f"scanline of an EXR file: got {width} times {bins}"
             )
-        limit_hz = SPEED_OF_LIGHT / (2 * self.transient.bin_width_m)  # Nyquist: two bins to a period
+        limit_hz = speed_of_light / (2 * self.transient.bin_width_m)  # Nyquist: two bins to a period
         fastest_hz = max(self.itof.frequencies_hz)
         if fastest_hz >= limit_hz:
             raise ValueError(
@@ -237,7 +214,8 @@ def preset_from_dict(data: dict[str, Any], origin: str) -> Preset:
     ------
     PresetError : an unknown key, a wrong type or an impossible value, by name.
     """
-    return checked(TypeAdapter(Preset), json.dumps(data, default=str), origin)
+    preset: Preset = checked(TypeAdapter(Preset), json.dumps(data, default=str), origin, PresetError)
+    return preset
 
 
 def load_preset(name_or_file: str) -> Preset:
@@ -248,45 +226,3 @@ def load_preset(name_or_file: str) -> Preset:
     PresetError : no such preset, not TOML, or against the contract.
     """
     return preset_from_dict(*read_settings("presets", name_or_file))
-
-
-def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
-    """Contents and path of a TOML file, or of the one with that name in data/<kind>.
-
-    Raises
-    ------
-    PresetError : no such file, or not TOML.
-    """
-    named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
-    file = named.get(name_or_file, Path(name_or_file))
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
-    except (FileNotFoundError, IsADirectoryError):
-        raise PresetError(
-            f"no preset {name_or_file}: give a .toml file or one of {', '.join(sorted(named))}"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise PresetError(f"{file} cannot be read as TOML: {error}") from None
-
-
-def data_folder(kind: str) -> Path:
-    """Folder data/<kind> of what comes with the program: the source tree's, else the installed one."""
-    source = Path(__file__).parent.parent / "data" / kind
-    return source if source.is_dir() else Path(sysconfig.get_path("data")) / "share" / "night" / kind
-
-
-def checked(adapter: TypeAdapter[Any], text: str | bytes, origin: str) -> Any:
-    """Parse JSON text strictly; the first thing wrong becomes one sentence that names it."""
-    try:
-        return adapter.validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-            problem = f"unknown key {key}"
-        elif first["type"] == "missing":
-            problem = f"key {key} is missing"
-        else:
-            given = f" (got {first['input']!r})" if not isinstance(first["input"], dict) else ""
-            problem = f"{key}: {first['msg'].removeprefix('Value error, ')}{given}"
-        raise PresetError(f"{origin}: {problem}") from None

@@ -12,9 +12,12 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from scenegen.contract import STRICT, ContractError, checked
 from scenegen.files.whole_files import write_text
-from scenegen.preset import STRICT, PresetError, checked
 
+MEASUREMENT_FILE, GROUND_TRUTH_FILE = "itof.exr", "mirrored.exr"
+TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE = "transient.exr", "mirrored_transient.exr"
+IMAGE_FILES, TRANSIENT_FILES = (MEASUREMENT_FILE, GROUND_TRUTH_FILE), (TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE)
 RECORD_FILE, FAILURE_FILE, FAILURE_LOG = "render.json", "failure.json", "failure.log"
 Contents = TypeVar("Contents")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -86,6 +89,6 @@ def remove_failure(folder: Path) -> None:
 def _read(adapter: TypeAdapter[Contents], file: Path) -> Contents | None:
     try:
         contents: Contents = checked(adapter, file.read_bytes(), str(file))
-    except (OSError, PresetError):
+    except (OSError, ContractError):
         return None
     return contents

@@ -7,8 +7,9 @@ from math import floor
 
 import numpy as np
 
+from scenegen.contract import Vector
 from scenegen.night_error import NightError
-from scenegen.preset import Preset, Vector
+from scenegen.preset import Preset
 from scenegen.scene import COMPOSITE, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000

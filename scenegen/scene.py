@@ -7,19 +7,18 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from scenegen.preset import (
+from scenegen.contract import (
     STRICT,
-    CameraSettings,
     Extent,
     FieldOfView,
-    Material,
     Positive,
     Reflectance,
     Roughness,
-    Shape,
     Vector,
     checked,
 )
+from scenegen.preset import CameraSettings, Material
+from scenegen.shapes import Shape
 
 COMPOSITE = "composite"
 Split = Literal["train", "validation", "test"]
@@ -115,6 +114,6 @@ def scene_to_json(scene: Scene) -> str:
 
 
 def scene_from_json(text: str, origin: str) -> Scene:
-    """Scene from the text of a ``scene.json``; `PresetError` names what is wrong and `origin`."""
+    """Scene from the text of a ``scene.json``; `ContractError` names what is wrong and `origin`."""
     scene: Scene = checked(TypeAdapter(Scene), text, origin)
     return scene

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from model.data.batches import Batch, BatchMaker, TensorRows
+from model.data.batches import Batch, BatchMaker
+from model.data.rows import RowBlock
 from model.settings import TrainSettings
 
 
@@ -116,7 +117,7 @@ class Augmentation:
 
     Attributes
     ----------
-    flip_rows : flip top and bottom, every second image. An exact symmetry of the scene (DESIGN 4.11).
+    flip_rows : flip top and bottom, every second image. An exact symmetry (docs/design.md, Symmetry).
     flip_columns : flip left and right, every second image. Not a symmetry.
     rotation_deg : turn by up to this many degrees either way. Not a symmetry.
     translation : shift by up to this fraction of width and height either way. Not a symmetry.
@@ -159,9 +160,9 @@ class Augmentation:
             phasor = phasor + self.noise_sigma * phasor[..., :1].abs() * noise
         return phasor
 
-    def __call__(self, rows: TensorRows, maker: BatchMaker, draws: Draws) -> Batch:
+    def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
         """The batch of `rows`, changed as chance decided for each of them."""
-        return self.warp(draws)(maker.batch(rows, self.measured(rows.phasor, draws)))
+        return self.warp(draws)(maker.batch(rows, self.measured(maker.measured(rows), draws)))
 
 
 def _noise(like: Tensor, seed: int) -> Tensor:

@@ -1,20 +1,17 @@
-"""Scenes as tensors on the computing device: rows of the shards, and the batches made of them."""
+"""Batches: what the network is fed and judged by, made of rows of the shards on the computing device."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from model.data.rows import RowBlock
+from model.data.rows import ARRAYS, RowBlock
 from model.network.channels import InputSpec
-
-_TENSORS = ("phasor", "target", "radial_depth_m", "mask")
 
 
 @dataclass(frozen=True)
@@ -33,42 +30,6 @@ class Batch:
     target: Tensor
     radial_depth_m: Tensor
     mask: Tensor
-
-
-@dataclass(frozen=True)
-class TensorRows:
-    """Rows of the shards on one device, as `model.RowBlock` is in memory.
-
-    Attributes
-    ----------
-    rows : n row numbers, in the order of the tensors.
-    phasor : (n, H, W, F) complex64, at the network's frequencies.
-    target, radial_depth_m : (n, 2, H, W) and (n, H, W) float32.
-    mask : (n, H, W) uint8.
-    """
-
-    rows: tuple[int, ...]
-    phasor: Tensor
-    target: Tensor
-    radial_depth_m: Tensor
-    mask: Tensor
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def take(self, rows: Sequence[int]) -> TensorRows:
-        """A copy of some of the rows, in the order asked for."""
-        places = torch.tensor([self._places[row] for row in rows], device=self.mask.device)
-        return TensorRows(tuple(rows), *(getattr(self, name)[places] for name in _TENSORS))
-
-    def joined(self, other: TensorRows) -> TensorRows:
-        """These rows and then the other's."""
-        both = (torch.cat([getattr(self, name), getattr(other, name)]) for name in _TENSORS)
-        return TensorRows(self.rows + other.rows, *both)
-
-    @cached_property
-    def _places(self) -> dict[int, int]:
-        return {row: place for place, row in enumerate(self.rows)}
 
 
 @dataclass(frozen=True)
@@ -99,26 +60,27 @@ class BatchMaker:
         known = torch.from_numpy(reference[..., places].astype(np.complex64))
         return cls(inputs, places, known.to(device))
 
-    def upload(self, block: RowBlock) -> TensorRows:
-        """Rows that were read, on the device."""
-        device, count = self.reference.device, block.phasors.shape[1] // 2  # components come in twos
-        parts = [
-            torch.from_numpy(block.phasors[:, [first + place for place in self.places]]).to(device)
-            for first in (0, count)
-        ]
-        return TensorRows(
-            block.rows,
-            torch.complex(*parts).movedim(1, -1).contiguous(),  # (n, H, W, F)
-            *(
-                torch.from_numpy(array).to(device)
-                for array in (block.target, block.radial_depth_m, block.mask)
-            ),
-        )
+    def upload(self, block: RowBlock) -> RowBlock:
+        """Rows that were read, as tensors on the device, with the phasors of the network's frequencies."""
+        count = block.phasors.shape[1] // 2  # real and imaginary parts
+        chosen = [first + place for first in (0, count) for place in self.places]
+        arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": block.phasors[:, chosen]}
+        device = self.reference.device
+        return RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
 
-    def batch(self, rows: TensorRows, phasor: Tensor | None = None) -> Batch:
-        """Network channels and ground truth of `rows`; `phasor` (N, H, W, F) instead of the measured one."""
+    def measured(self, rows: RowBlock) -> Tensor:
+        """(N, H, W, F) complex64 phasors of uploaded rows."""
+        phasor: Tensor = rows.complex_phasors().contiguous()  # of a strided tensor, PyTorch rounds |z| otherwise
+        return phasor
+
+    def batch(self, rows: RowBlock, phasor: Tensor | None = None) -> Batch:
+        """Network channels and ground truth of uploaded rows.
+
+        `phasor` (N, H, W, F), where it is given, replaces the measured one.
+        """
+        measured = self.measured(rows) if phasor is None else phasor
         return Batch(
-            channels=self.inputs.apply(rows.phasor if phasor is None else phasor, self.reference),
+            channels=self.inputs.apply(measured, self.reference),
             target=rows.target,
             radial_depth_m=rows.radial_depth_m,
             mask=rows.mask.float(),

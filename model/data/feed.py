@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
 
 import torch
 
@@ -18,26 +17,11 @@ MEMORY_PART = 0.25  # of the machine's memory, for the rows of one split
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
-class Rows(Protocol):
-    """Some rows of the shards, in memory or on a device."""
-
-    def __len__(self) -> int: ...
-
-    def take(self, rows: Sequence[int], /) -> Self:
-        """A copy of some of the rows, in the order asked for."""
-
-    def joined(self, other: Self, /) -> Self:
-        """These rows and then the other's."""
-
-
-Block = TypeVar("Block", bound=Rows)
-
-
-def _as_read(block: RowBlock) -> Any:
+def _as_read(block: RowBlock) -> RowBlock:
     return block
 
 
-class Feed(Generic[Block]):
+class Feed:
     """Rows of a split as batches.
 
     With `window_rows` for all of them, they are read, prepared (by default left as they are; uploaded to a
@@ -56,19 +40,19 @@ class Feed(Generic[Block]):
         shards: Shards,
         rows: Sequence[int],
         window_rows: int,
-        prepare: Callable[[RowBlock], Block] = _as_read,
+        prepare: Callable[[RowBlock], RowBlock] = _as_read,
     ) -> None:
         self.rows, self.window_rows = list(rows), window_rows
         self._shards, self._per_piece = shards, shards.manifest.scenes_per_piece
         self._prepare = prepare
-        self._held: Block | None = None
+        self._held: RowBlock | None = None
 
     @property
     def is_resident(self) -> bool:
         """Whether all rows are held in memory."""
         return len(self.rows) <= self.window_rows
 
-    def shuffled(self, batch_size: int, generator: torch.Generator, *, skip: int = 0) -> Iterator[Block]:
+    def shuffled(self, batch_size: int, generator: torch.Generator, *, skip: int = 0) -> Iterator[RowBlock]:
         """Every row once, in random order; all that is drawn from `generator` is drawn now.
 
         The first `skip` batches are left out and not read: they were used before.
@@ -76,12 +60,12 @@ class Feed(Generic[Block]):
         windows = shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)
         return _batches(self._blocks(without_first(windows, skip * batch_size)), batch_size)
 
-    def in_order(self, batch_size: int) -> Iterator[Block]:
+    def in_order(self, batch_size: int) -> Iterator[RowBlock]:
         """Every row once, in ascending order."""
         windows = windows_in_order(self.rows, self._per_piece, self.window_rows)
         return _batches(self._blocks(windows), batch_size)
 
-    def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], Block]]:
+    def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
         """Each window's rows in the order wanted, and the block that holds them."""
         if not self.is_resident:
             yield from _read_ahead(lambda rows: self._prepare(self._shards.read(rows)), windows)
@@ -133,8 +117,8 @@ def machine_bytes() -> int:
 
 
 def _read_ahead(
-    read: Callable[[list[int]], Block], windows: Sequence[list[int]]
-) -> Iterator[tuple[list[int], Block]]:
+    read: Callable[[list[int]], RowBlock], windows: Sequence[list[int]]
+) -> Iterator[tuple[list[int], RowBlock]]:
     """Windows and their rows; while one is used, a thread reads the next."""
     if not windows:
         return
@@ -148,9 +132,9 @@ def _read_ahead(
             del block  # else three windows would be in memory
 
 
-def _batches(windows: Iterable[tuple[list[int], Block]], size: int) -> Iterator[Block]:
+def _batches(windows: Iterable[tuple[list[int], RowBlock]], size: int) -> Iterator[RowBlock]:
     """Cut windows into batches of `size` rows; only the last batch of all may have fewer."""
-    begun: Block | None = None
+    begun: RowBlock | None = None
     for order, block in windows:
         start = 0
         while start < len(order):

@@ -3,7 +3,7 @@
 ``phasors.npy`` (n, 2F, H, W: F real parts, then F imaginary parts), ``target.npy`` (n, 2, H, W),
 ``radial_depth_m.npy`` (n, H, W), ``mask.npy`` (n, H, W, uint8), and ``piece.json``, which knows the SHA-256
 of the renders they were made of and of the arrays. Half floats would destroy the hidden 0.1-0.3 % of the
-signal (DESIGN 4.2), so phasors are float32.
+signal (docs/design.md, Number types), so phasors are float32.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from itof import split_components
 from model.data.renders import RenderedScene, ShardError, read_render
 from model.data.rows import ARRAYS, RowBlock, RowLayout
 from scenegen import Dataset, FileHashes, whole_folder
-from scenegen.preset import STRICT, WholeCount
+from scenegen.contract import STRICT, WholeCount
 
 PIECE_BYTES = 128 * 2**20  # at most, unless one scene takes more
 RECORD_FILE = "piece.json"
@@ -121,9 +121,10 @@ def write_piece(
             }
             for rendered in _rendered(dataset, contents):
                 files["phasors"].append(np.moveaxis(split_components(rendered.phasor), -1, 0))
-                files["target"].append(rendered.target)
-                files["radial_depth_m"].append(rendered.radial_depth_m)
-                files["mask"].append(rendered.mask)
+                truth = rendered.truth
+                files["target"].append(np.stack([truth.phasor.real, truth.phasor.imag]))
+                files["radial_depth_m"].append(truth.radial_depth_m)
+                files["mask"].append(truth.mask)
                 on_scene()
         record = PieceRecord(contents, {f"{name}.npy": file.sha256() for name, file in files.items()})
         (partial / RECORD_FILE).write_bytes(TypeAdapter(PieceRecord).dump_json(record, indent=1) + b"\n")
@@ -177,7 +178,7 @@ def _rendered(dataset: Dataset, contents: PieceContents) -> Iterator[RenderedSce
     """The scenes of a piece, one at a time, all of its size."""
     for scene in contents.scenes:
         rendered = read_render(dataset, scene)
-        if rendered.mask.shape != (contents.height, contents.width):
+        if rendered.truth.mask.shape != (contents.height, contents.width):
             raise ShardError(
                 f"wrong resolution between stages: scene {scene} was rendered at {rendered.size} pixels, "
                 f"scene {dataset.ids()[0]} at {contents.width}x{contents.height}; render them all at one "

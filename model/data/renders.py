@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import Image, ImageFileError, read_image
-from scenegen import Dataset, FileHashes, NightError, read_record
-
-MEASUREMENT_FILE = "itof.exr"
-GROUND_TRUTH_FILE = "mirrored.exr"
+from itof import DepthMap, Image, ImageFileError, read_image
+from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, FileHashes, NightError, read_record
 
 
 class ShardError(NightError):
@@ -26,20 +23,16 @@ class RenderedScene:
     Attributes
     ----------
     phasor : (H, W, F) complex64, what the camera measures at every frequency.
-    target : (2, H, W) float32, Re and Im of the mirrored scene at the first frequency, amplitude 1 or 0.
-    radial_depth_m : (H, W) float32, along the ray, 0 on background.
-    mask : (H, W) uint8, 1 on the hidden object.
+    truth : (H, W) ground truth, at the first frequency.
     """
 
     phasor: NDArray[np.complex64]
-    target: NDArray[np.float32]
-    radial_depth_m: NDArray[np.float32]
-    mask: NDArray[np.uint8]
+    truth: DepthMap
 
     @property
     def size(self) -> str:
         """Width x height, as people write it."""
-        height, width = self.mask.shape
+        height, width = self.truth.mask.shape
         return f"{width}x{height}"
 
 
@@ -81,7 +74,7 @@ def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, s
         scene = path.parent.name
         if not found[scene]:
             record = read_record(path.parent)  # None of captures that night-render did not make
-            if record is None and dataset.index.rendering is not None:
+            if record is None and dataset.rendering is not None:
                 read_render(dataset, scene)  # may know better what is wrong
                 raise ShardError(
                     f"scene {scene}: its renders are unfinished or were found bad (there is no render.json): "
@@ -111,26 +104,25 @@ def read_render(dataset: Dataset, scene: str) -> RenderedScene:
     measured_file = dataset.render_folder(scene) / MEASUREMENT_FILE
     truth_file = dataset.render_folder(scene) / GROUND_TRUTH_FILE
     phasor = _phasors(scene, measured_file, read_image(measured_file), frequencies_hz)
-    truth = read_image(truth_file)
-    mirrored = _phasors(scene, truth_file, truth, frequencies_hz[:1])[..., 0]  # (H, W)
-    try:
-        radial_depth_m, mask = truth.channel("depth.R"), truth.channel("mask.M")
-    except ImageFileError as error:
-        raise ShardError(f"scene {scene}: {truth_file} is no ground truth ({error})") from None
-    _refuse_not_finite(scene, truth_file, radial_depth_m, mask)
-    if not np.isin(mask, (0.0, 1.0)).all() or (radial_depth_m < 0).any():
-        raise ShardError(
-            f"scene {scene}: {truth_file} needs mask.M of 0 and 1 and depth.R from 0 m: render it again"
-        )
-    if phasor.shape[:2] != mask.shape:
-        height, width = mask.shape
+    truth = _ground_truth(scene, truth_file, frequencies_hz[0])
+    if phasor.shape[:2] != truth.mask.shape:
+        height, width = truth.mask.shape
         raise ShardError(
             f"wrong resolution between stages: scene {scene} has a measurement of "
             f"{phasor.shape[1]}x{phasor.shape[0]} pixels and a ground truth of {width}x{height}; "
             f"run night-render {dataset.root} again"
         )
-    target = np.stack([mirrored.real, mirrored.imag])  # (2, H, W)
-    return RenderedScene(phasor, target, radial_depth_m, mask.astype(np.uint8))
+    return RenderedScene(phasor, truth)
+
+
+def _ground_truth(scene: str, file: Path, frequency_hz: float) -> DepthMap:
+    image = read_image(file)
+    try:
+        truth = DepthMap.of_image(image)
+    except ImageFileError as error:
+        raise ShardError(f"scene {scene}: {file} {error}: delete it and render again") from None
+    _refuse_other_frequencies(scene, file, (truth.frequency_hz,), (frequency_hz,))
+    return truth
 
 
 def _phasors(
@@ -140,17 +132,23 @@ def _phasors(
         phasor, found_hz = image.phasors("itof")  # (H, W, F)
     except ImageFileError as error:
         raise ShardError(f"scene {scene}: {file} holds no phasors ({error})") from None
+    _refuse_other_frequencies(scene, file, found_hz, frequencies_hz)
+    _refuse_not_finite(scene, file, phasor)
+    return phasor
+
+
+def _refuse_other_frequencies(
+    scene: str, file: Path, found_hz: tuple[float, ...], frequencies_hz: tuple[float, ...]
+) -> None:
     if found_hz != frequencies_hz:
         raise ShardError(
             f"scene {scene}: {file} was rendered at {_megahertz(found_hz)}, the dataset asks for "
             f"{_megahertz(frequencies_hz)}: render it again"
         )
-    _refuse_not_finite(scene, file, phasor)
-    return phasor
 
 
-def _refuse_not_finite(scene: str, file: Path, *arrays: NDArray[np.generic]) -> None:
-    bad = sum(int(np.count_nonzero(~np.isfinite(array))) for array in arrays)
+def _refuse_not_finite(scene: str, file: Path, phasor: NDArray[np.complex64]) -> None:
+    bad = int(np.count_nonzero(~np.isfinite(phasor)))
     if bad:
         raise ShardError(
             f"scene {scene}: {file} holds {bad} values that are NaN or infinite: delete it and render again"

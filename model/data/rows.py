@@ -1,13 +1,15 @@
-"""Rows of the shards in memory: measurements and ground truth of some scenes."""
+"""Rows of the shards: measurements and ground truth of some scenes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from array_api_compat import array_namespace
+from numpy.typing import DTypeLike
 
 from itof import join_components
 
@@ -46,7 +48,7 @@ class RowLayout:
 
 @dataclass(frozen=True)
 class RowBlock:
-    """Some rows of the shards, read into memory.
+    """Some rows of the shards, as numpy arrays in memory or as tensors on a device.
 
     Attributes
     ----------
@@ -58,17 +60,17 @@ class RowBlock:
     """
 
     rows: tuple[int, ...]
-    phasors: NDArray[np.float32]
-    target: NDArray[np.float32]
-    radial_depth_m: NDArray[np.float32]
-    mask: NDArray[np.uint8]
+    phasors: Any
+    target: Any
+    radial_depth_m: Any
+    mask: Any
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def complex_phasors(self) -> NDArray[np.complex128]:
-        """(n, H, W, F) phasors."""
-        return join_components(np.moveaxis(self.phasors, 1, -1))
+    def complex_phasors(self) -> Any:
+        """(n, H, W, F) complex64 phasors."""
+        return join_components(array_namespace(self.phasors).moveaxis(self.phasors, 1, -1))
 
     def take(self, rows: Sequence[int]) -> RowBlock:
         """A copy of some of the rows, in the order asked for."""
@@ -77,7 +79,8 @@ class RowBlock:
 
     def joined(self, other: RowBlock) -> RowBlock:
         """These rows and then the other's."""
-        arrays = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
+        xp = array_namespace(self.phasors)
+        arrays = {name: xp.concat([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
         return RowBlock(self.rows + other.rows, **arrays)
 
     @cached_property

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
-from tqdm import tqdm
 
 from itof import join_components, split_components
 from model.data.pieces import (
@@ -44,8 +43,10 @@ from scenegen import (
     whole_file,
     write_text,
 )
+from scenegen.contract import STRICT, WholeCount
 from scenegen.files.whole_files import remove_leftovers
-from scenegen.preset import STRICT, Preset, WholeCount
+from scenegen.preset import Preset
+from scenegen.progress import showing_progress
 
 SHARD_SCHEMA: Final = 2
 _log = logging.getLogger(__name__)
@@ -211,7 +212,7 @@ def _layout(dataset: Dataset, sources: Mapping[str, Mapping[str, str]]) -> RowLa
     record = read_piece_record(dataset.shard_folder / first)
     if record and sources[first].items() <= record.contents.sources.items():
         return RowLayout(record.contents.width, record.contents.height, len(frequencies_hz))
-    height, width = read_render(dataset, first).mask.shape
+    height, width = read_render(dataset, first).truth.mask.shape
     return RowLayout(width, height, len(frequencies_hz))
 
 
@@ -234,7 +235,7 @@ def _pieces(
 
 def _write_pieces(dataset: Dataset, pieces: Sequence[PieceContents], progress: bool) -> None:
     count = sum(len(piece.scenes) for piece in pieces)
-    with tqdm(total=count, desc="shards", unit="scene", disable=not progress or None) as bar:
+    with showing_progress(count, "scene", "shards", show=progress) as bar:
         for piece in pieces:
             write_piece(dataset, dataset.shard_folder / piece.name, piece, bar.update)
 

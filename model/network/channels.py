@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from itof import network_channels, residual_channels
 from model.settings import Channels
-from scenegen.preset import STRICT, Positive
+from scenegen.contract import STRICT, Positive
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -22,7 +22,7 @@ class InputSpec:
     ``paper`` is [A_0 / scale, Re_f / A_0, Im_f / A_0]: seven channels with three frequencies. ``residual``
     is what is left when the known phase of the wall's direct return is turned back (five channels with
     three frequencies), each divided by its standard deviation over the training scenes: it lifts the
-    hidden 0.1-0.3 % to unit variance, without which a network learns little (DESIGN 4.9).
+    hidden 0.1-0.3 % to unit variance, without which a network learns little (docs/design.md, Input channels).
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ class UNet(nn.Module):
     default loses a factor of about 2.4 in scale at each of 22 layers and the output starts as a constant.
 
     Under `torch.autocast` the first block and the head stay float32: a half float cannot tell the hidden
-    0.2 % in an input channel (DESIGN 4.2), nor the last few thousandths of a phase.
+    0.2 % in an input channel (docs/design.md, Number types), nor the last few thousandths of a phase.
 
     Parameters
     ----------

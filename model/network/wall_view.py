@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from itof import direct_phasors
 from scenegen import Dataset, camera_axes, wall_normal
-from scenegen.preset import STRICT, FieldOfView, Vector
+from scenegen.contract import STRICT, FieldOfView, Vector
 
 
 @dataclass(frozen=True, config=STRICT)

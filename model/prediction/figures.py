@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,8 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from itof import DepthMap
 from model.network.metrics import ImageMetrics
-from model.prediction.predictor import Prediction
 from scenegen import whole_file
 
 BACKGROUND = "0.88"  # grey of pixels without object in a depth map
@@ -23,16 +22,7 @@ LEAST_DEPTH_SPAN_M = 0.4  # of the colours, else a flat object's noise would loo
 DOTS_PER_INCH = 150
 
 
-@dataclass(frozen=True)
-class DepthView:
-    """One row of a comparison: phasor (H, W) complex, radial depth (H, W) metres and mask (H, W)."""
-
-    phasor: NDArray[np.complexfloating]
-    radial_depth_m: NDArray[np.floating]
-    mask: NDArray[np.bool_]
-
-
-def comparison_figure(title: str, truth: DepthView, prediction: DepthView, metrics: ImageMetrics) -> Figure:
+def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics: ImageMetrics) -> Figure:
     """Ground truth above prediction, in three columns: Re, Im and radial depth.
 
     Both rows share their colours: Re and Im in [-1, 1]; depth over the range of the true object, a
@@ -72,7 +62,7 @@ def write_figure(path: Path, figure: Figure) -> None:
         figure.savefig(partial, format="png", dpi=DOTS_PER_INCH)
 
 
-def depth_range(*views: DepthView | Prediction) -> tuple[float, float]:
+def depth_range(*views: DepthMap) -> tuple[float, float]:
     """Colour range of depth, metres: of the object in the first view that shows one."""
     for view in views:
         if view.mask.any():

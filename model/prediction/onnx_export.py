@@ -54,6 +54,13 @@ class OnnxCheck:
     tolerance: float
     largest_output: float
 
+    def sentence(self, out: Path) -> str:
+        """The outcome for people to read; `out` is the file."""
+        return (
+            f"{out}: differs from PyTorch by at most {self.largest_difference:.2g} where outputs reach "
+            f"{self.largest_output:.2g} ({self.tolerance:.2g} is rounding)"
+        )
+
 
 def export_onnx(run: Path, out: Path, *, seed: int = 0) -> OnnxCheck:
     """Write the network of `run` as the ONNX file `out`, whole or not at all; an older one is replaced.

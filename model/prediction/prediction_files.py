@@ -14,15 +14,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from itof import phasor_channels, write_image
+from itof import DepthMap
 from model.prediction.figures import BACKGROUND, depth_range, write_figure
 from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
 from model.prediction.pointclouds import object_points, write_point_cloud
-from model.prediction.predictor import BATCH, Prediction, Predictor, load
+from model.prediction.predictor import BATCH, Predictor, load
 from model.settings import DeviceName
 from scenegen import NightError, whole_folder, write_text
+from scenegen.progress import showing_progress
 
 PREDICTION_SCHEMA: Final = 1
 RECORD: Final = "prediction.json"
@@ -117,7 +117,7 @@ def _predict_all(
         "measurement": measured.path.name,
     }
     count = len(measured.phasors)
-    with tqdm(total=count, desc="predict", unit="image", disable=not progress or None) as bar:
+    with showing_progress(count, "image", "predict", show=progress) as bar:
         for start in range(0, count, BATCH):
             batch = measured.phasors[start : start + BATCH]  # (n, H, W, F)
             try:
@@ -125,27 +125,19 @@ def _predict_all(
             except ValueError as error:
                 raise MeasurementError(f"{measured.path}, images from {start} on: {error}") from None
             for index in range(len(batch)):
-                one = Prediction(
-                    predictions.radial_depth_m[index], predictions.mask[index], predictions.phasor[index]
-                )
                 name = f"{start + index:06d}"
-                images.append(_write(folder, name, one, predictor, attributes | {"image": name}))
+                about = attributes | {"image": name}
+                images.append(_write(folder, name, predictions[index], predictor, about))
                 bar.update()
     return tuple(images)
 
 
 def _write(
-    folder: Path, name: str, one: Prediction, predictor: Predictor, attributes: dict[str, str]
+    folder: Path, name: str, one: DepthMap, predictor: Predictor, attributes: dict[str, str]
 ) -> PredictedImage:
     """Depth map, picture and point cloud of one (H, W) prediction."""
     files = [f"{name}.exr", f"{name}.png"]
-    frequency_hz = predictor.config.readout.frequency_hz
-    channels: dict[str, NDArray[np.float32]] = {
-        "depth.R": one.radial_depth_m,
-        "mask.M": one.mask.astype(np.float32),
-        **phasor_channels(one.phasor[..., None], [frequency_hz]),
-    }
-    write_image(folder / files[0], channels, attributes)
+    one.write(folder / files[0], attributes)
     write_figure(folder / files[1], prediction_figure(f"{attributes['measurement']}, image {name}", one))
     points_m = object_points(one.radial_depth_m, one.mask, predictor.config.geometry.horizontal_fov_deg)
     median_m = None
@@ -156,7 +148,7 @@ def _write(
     return PredictedImage(name, len(points_m), median_m, tuple(files))
 
 
-def prediction_figure(title: str, one: Prediction) -> Figure:
+def prediction_figure(title: str, one: DepthMap) -> Figure:
     """Re, Im and radial depth of one (H, W) prediction: the mask outlined in two, and alone in the third."""
     height, width = one.mask.shape
     figure = Figure(figsize=(10.5, 1.6 + 3.0 * height / width), layout="constrained")

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from itof import amplitude, join_components, z_from_radial
+from itof import DepthMap, amplitude, join_components
 from model.device import choose_device
 from model.network.readout import Readout
 from model.network.unet import UNet
@@ -19,31 +19,6 @@ from model.run_folder import RunConfig, load_weights, read_config
 from model.settings import DeviceName
 
 BATCH = 16  # images at a time; QVGA at full width takes about 1 GB
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What the network says of some images: the mirrored scene, as if the relay wall were a mirror.
-
-    Attributes
-    ----------
-    radial_depth_m : (..., H, W) float32, along the ray, 0 on background.
-    mask : (..., H, W) bool, where the hidden object shows.
-    phasor : (..., H, W) complex64, at the frequency of the ground truth (`RunConfig.output_frequency_hz`).
-    """
-
-    radial_depth_m: NDArray[np.float32]
-    mask: NDArray[np.bool_]
-    phasor: NDArray[np.complex64]
-
-    @property
-    def depth(self) -> NDArray[np.float32]:
-        """`radial_depth_m`: (..., H, W) metres *along the ray* of each pixel, 0 on background."""
-        return self.radial_depth_m
-
-    def z_depth_m(self, horizontal_fov_deg: float) -> NDArray[np.float64]:
-        """(..., H, W) metres along the optical axis, 0 on background."""
-        return z_from_radial(self.radial_depth_m, horizontal_fov_deg)
 
 
 @dataclass(frozen=True)
@@ -63,8 +38,8 @@ class Predictor:
 
     def predict(
         self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
-    ) -> Prediction:
-        """Depth map and mask of measurements.
+    ) -> DepthMap:
+        """Depth maps of measurements: the mirrored scene, as if the relay wall were a mirror.
 
         Parameters
         ----------
@@ -74,6 +49,10 @@ class Predictor:
             default the relay wall's direct return, computed from the run's own camera and wall.
         rescale : take the phasors' unit as unknown: bring every image's mean amplitude at the first
             frequency to the mean of the training scenes. Without it they are in the unit of those.
+
+        Returns
+        -------
+        (H, W) or (N, H, W) radial depth float32, mask bool, phasor complex64 at `config.output_frequency_hz`.
 
         Raises
         ------
@@ -90,10 +69,9 @@ class Predictor:
             self._predict_some(self._channels(images[start : start + BATCH], known))
             for start in range(0, len(images), BATCH)
         ]
-        radial_depth_m, mask, predicted = (np.concatenate(x) for x in zip(*parts, strict=True))
-        if z.ndim == 3:
-            radial_depth_m, mask, predicted = radial_depth_m[0], mask[0], predicted[0]
-        return Prediction(radial_depth_m, mask, predicted)
+        radial_depth_m, mask, phasor = (np.concatenate(each) for each in zip(*parts, strict=True))  # (N, H, W)
+        predicted = DepthMap(radial_depth_m, mask, phasor, self.config.readout.frequency_hz)
+        return predicted[0] if z.ndim == 3 else predicted
 
     @property
     def _image_shape(self) -> tuple[int, int, int]:

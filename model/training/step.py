@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from model.data.augmentation import Augmentation, Draws
-from model.data.batches import Batch, BatchMaker, TensorRows
+from model.data.batches import Batch, BatchMaker
+from model.data.rows import RowBlock
 from model.device import number_type
 from model.network.loss import NightLoss
 from model.run_folder import RunConfig
@@ -45,7 +46,7 @@ class TrainingStep:
         self.loss = NightLoss(config.readout, settings.loss, settings.loss_on, settings.alpha)
         self.optimisation = Optimisation(self.network, settings, steps_per_epoch, device)
 
-    def loss_of(self, rows: TensorRows, draws: Draws) -> Tensor:
+    def loss_of(self, rows: RowBlock, draws: Draws) -> Tensor:
         """Loss of the network on rows, changed as chance decided; its graph is kept for `take`."""
         batch = self.augmentation(rows, self.maker, draws)
         return self.judge(self.output(batch, self._trained), batch)

@@ -1,9 +1,9 @@
 """Who renders what: locks that vanish with the process that holds them, however it dies.
 
 A claim is a `flock` on ``renders/.claims/<id>``, which also counts how often one run has begun the scene;
-the run lock is one on ``renders/.run``, shared by commands that render with the same settings. Renders are
-written whole, and the same on any machine of one kind, so a file system without locks costs work done twice,
-no more.
+the run lock is one on ``renders/.run``, shared by commands that render with the same settings;
+``renders/.note`` is held while ``rendering.json`` is read and written. Renders are written whole, and the
+same on any machine of one kind, so a file system without locks costs work done twice, no more.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from scenegen import NightError
 
-_CLAIMS, _RUN = ".claims", ".run"
+_CLAIMS, _RUN, _NOTE = ".claims", ".run", ".note"
 _NO_LOCKS = (ENOLCK, ENOTSUP)
 _MOST_RUNS, _MOST_BYTES = 16, 4096  # that a claim file remembers attempts of
 
@@ -113,6 +113,18 @@ def joined_run(renders: Path, settings: str) -> Iterator[None]:
                 f"another night-render is rendering {renders.parent} with other settings ({others}): wait "
                 "for it to end, or help it with the same ones"
             )
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def noting(renders: Path) -> Iterator[None]:
+    """Read and write ``rendering.json`` while no other command does; waits for its turn."""
+    renders.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(renders / _NOTE, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        _lock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)

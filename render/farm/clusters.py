@@ -68,8 +68,7 @@ def connected(
     ClusterError : both a scheduler and a file, an unreachable scheduler, a file that cannot be used.
     BackendError : this machine cannot render on `device` (local workers only).
     """
-    if scheduler and cluster_file:
-        raise ClusterError("give either --scheduler or --cluster: one joins a cluster, the other starts one")
+    check_cluster(scheduler, cluster_file)
     import dask
     from distributed import Client
 
@@ -105,19 +104,33 @@ def batch_cluster(file: Path) -> JobQueueCluster:
     ------
     ClusterError : no such file, not YAML, another number of systems than one, unknown keys.
     """
+    cls, options = _checked_cluster_file(file)
+    try:
+        made: JobQueueCluster = cls(**{"scheduler_options": {"dashboard_address": ":0"}, **options})
+    except (ValueError, TypeError, RuntimeError, OSError) as error:
+        raise ClusterError(f"{file}: {' '.join(str(error).split())}") from None
+    return made
+
+
+def check_cluster(scheduler: str | None, cluster_file: Path | None) -> None:
+    """`ClusterError` where both are given, or a file that cannot be used; nothing is connected or started."""
+    if scheduler and cluster_file:
+        raise ClusterError("give either --scheduler or --cluster: one joins a cluster, the other starts one")
+    if cluster_file:
+        _checked_cluster_file(cluster_file)
+
+
+def _checked_cluster_file(file: Path) -> tuple[type, dict[str, Any]]:
+    """Cluster class and options that a configuration file of dask-jobqueue names."""
     system, options = _read_cluster_file(file)
-    cls = getattr(import_module("dask_jobqueue"), _SYSTEMS[system])
+    cls: type = getattr(import_module("dask_jobqueue"), _SYSTEMS[system])
     known = _known_options(cls)
     unknown = sorted(set(options) - known)
     if unknown:
         raise ClusterError(
             f"{file}: unknown key {unknown[0]} of jobqueue.{system}; known are {', '.join(sorted(known))}"
         )
-    try:
-        made: JobQueueCluster = cls(**{"scheduler_options": {"dashboard_address": ":0"}, **options})
-    except (ValueError, TypeError, RuntimeError, OSError) as error:
-        raise ClusterError(f"{file}: {' '.join(str(error).split())}") from None
-    return made
+    return cls, options
 
 
 def _read_cluster_file(file: Path) -> tuple[str, dict[str, Any]]:

@@ -32,7 +32,7 @@ class Inventory:
     def __init__(self, dataset: Dataset, settings: RenderSettings) -> None:
         self.dataset = dataset
         self.settings = settings
-        self._hashes = FileHashes(dataset.root / "renders")
+        self._hashes = FileHashes(dataset.renders)
 
     def state(self, scene_id: str) -> State:
         """State of one scene."""

@@ -109,7 +109,7 @@ def render_scene(job: Job) -> Outcome:
 
 
 def _render(job: Job, renderer: Renderer, inventory: Inventory) -> Outcome:
-    with claimed(renderer.dataset.root / "renders", job.scene_id) as claim:
+    with claimed(renderer.dataset.renders, job.scene_id) as claim:
         if claim is None:
             return Outcome(job.scene_id, "elsewhere")
         state = inventory.state(job.scene_id)

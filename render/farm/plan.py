@@ -7,17 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from itof import TransientLayout
-from render.settings import IMAGES, TRANSIENTS, RenderSettings
-from render.transport.many_light import ManyLight
-from scenegen import Dataset, read_record
+from render.byte_size import size
+from render.settings import RenderSettings
+from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record
 
-_PARTS = 3  # phasors of all light, of the direct and of the hidden part (many-light)
 _TRUTH_CHANNELS = 4  # of the ground truth: depth, mask, Re, Im
 _COMPONENTS = 2  # Re and Im
 _FLOAT_BYTES = 4
-# What is left of raw transients after lossless compression (docs/performance.md): many-light's are mostly
-# empty, path tracing noise is in every bin.
-_SPARSE, _DENSE = 0.09, 0.42
 _MEASURED_SCENES = 20  # are enough to know the size of the others
 _MARGIN = 1.05
 
@@ -113,32 +109,22 @@ def make_plan(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], d
     )
 
 
-def size(count: float) -> str:
-    """Bytes as people write them, to three digits."""
-    for unit in ("bytes", "kB", "MB", "GB", "TB"):
-        if count < 999.5 or unit == "TB":
-            break
-        count /= 1000
-    return f"{count:.0f} {unit}" if count >= 999.5 else f"{count:.3g} {unit}"
-
-
 def _measured(dataset: Dataset, scene_id: str) -> tuple[int, int]:
     """Bytes of a rendered scene's images and transients, by its record."""
     record = read_record(dataset.render_folder(scene_id))
     files = record.files if record is not None else {}
     images, transients = (
-        sum(files[name].bytes for name in names if name in files) for names in (IMAGES, TRANSIENTS)
+        sum(files[name].bytes for name in names if name in files) for names in (IMAGE_FILES, TRANSIENT_FILES)
     )
     return images, transients
 
 
 def _image_bytes(dataset: Dataset, settings: RenderSettings, layout: TransientLayout) -> int:
-    parts = _PARTS if settings.method == ManyLight.name else 1
+    parts = settings.options.phasor_parts
     channels = parts * _COMPONENTS * len(dataset.preset.itof.frequencies_hz) + _TRUTH_CHANNELS
     return _FLOAT_BYTES * layout.width * layout.height * channels  # phasors do not compress
 
 
 def _transient_bytes(settings: RenderSettings, layout: TransientLayout) -> int:
-    left = _SPARSE if settings.method == ManyLight.name else _DENSE
-    pair = 2 * layout.width * layout.height * layout.bin_count  # of scene and mirrored scene, no path
-    return int(left * _FLOAT_BYTES * pair)
+    pair = 2 * layout.width * layout.height * layout.bin_count  # bins of the scene and the mirrored scene
+    return int(settings.options.transient_fill * _FLOAT_BYTES * pair)

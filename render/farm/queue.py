@@ -170,7 +170,7 @@ class RenderQueue:
     def _is_final(self, outcome: Outcome, failed: _Failures) -> bool:
         """Whether a scene has had its attempts; a worker that died before it began does not count."""
         scene_id = outcome.scene_id
-        begun = attempts_of(self.dataset.root / "renders", scene_id, self.run_id)
+        begun = attempts_of(self.dataset.renders, scene_id, self.run_id)
         return (
             outcome.final
             or max(begun, failed.answers[scene_id]) >= MAX_ATTEMPTS

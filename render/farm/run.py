@@ -6,29 +6,26 @@ import json
 import logging
 import os
 import secrets
-import statistics
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import version
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from render.backend import select_variant
 from render.farm.claims import joined_run
-from render.farm.clusters import connected
+from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
 from render.farm.jobs import GROWTH_BYTES, Outcome
+from render.farm.note import note_rendering
 from render.farm.plan import make_plan
 from render.farm.queue import QueueError, RenderQueue, Tally
-from render.settings import RenderError, RenderSettings, read_recipe, settings_of
-from render.transport.method import MethodOptions
-from scenegen import Dataset, RenderingProvenance, open_dataset, read_record, write_index
+from render.options import option_names, options_of
+from render.settings import RenderError, RenderSettings, settings_of
+from scenegen import Dataset, read_record
+from scenegen.progress import showing_progress
 
 LOG_FILE = "night-render.log"
-_PACKAGES = ("night-nlos", "mitsuba", "drjit", "mitransient", "numpy", "OpenEXR")
 
 log = logging.getLogger(__name__)
 
@@ -74,20 +71,45 @@ class RunResult:
     failures: dict[str, str] = field(default_factory=dict)
     skipped_failures: int = 0
 
+    def sentences(self, renders: Path) -> list[str]:
+        """What was done, for people to read; `renders` is the folder of the renders."""
+        return [f"{self.rendered} scenes rendered, {self.present} were there; {renders}"]
+
+    def complaints(self, renders: Path) -> list[str]:
+        """What failed and what to do about it, for people to read; nothing when all went well."""
+        lines = [f"failed: scene {scene_id}: {reason}" for scene_id, reason in sorted(self.failures.items())]
+        if self.failures:
+            lines.append(
+                f"{len(self.failures)} scenes failed; logs are in {renders}/<id>/failure.log, and "
+                "night-render --retry-failed tries them again"
+            )
+        if self.skipped_failures:
+            lines.append(
+                f"{self.skipped_failures} scenes failed earlier and were left out: night-render "
+                "--retry-failed tries them again, night-render status names them"
+            )
+        return lines
+
 
 def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:
     """Settings of a run: what the dataset was rendered with before, if it was, changed by what is given.
 
-    `given` has keys of `RenderSettings` and of its `MethodOptions`. Giving another method, error or number of
-    lights than before starts from the defaults of the method's options.
+    `given` has keys of `RenderSettings`, ``method``, and names of the method's options (`render.options`).
+    Giving another method, error or number of lights than before starts from the defaults of the method's
+    options.
+
+    Raises
+    ------
+    OptionError, RenderError : a method or option that there is not, or an impossible value.
     """
-    before = dataset.index.rendering
+    before = dataset.rendering
     settings = settings_of(before, dataset) if before else RenderSettings(product="both")
-    option_names = set(asdict(MethodOptions()))
-    options = {name: value for name, value in given.items() if name in option_names}
-    others = {name: value for name, value in given.items() if name not in option_names}
-    if options or others.get("method", settings.method) != settings.method:
-        others["options"] = MethodOptions(**options)
+    known = option_names()
+    options = {name: value for name, value in given.items() if name in known}
+    others = {name: value for name, value in given.items() if name not in known}
+    method = others.pop("method", settings.method)
+    if options or method != settings.method:
+        others["options"] = options_of(method, options)
     return replace(settings, **others)
 
 
@@ -106,45 +128,95 @@ def render_dataset(
     OtherRunError, ClusterError, BackendError, QueueError : another command with other settings, no workers,
         no device, or something that stops all work. What was rendered before that stays.
     """
-    if not (options.scheduler or options.cluster_file):
-        select_variant(settings.device)  # what cannot work here is said before anything is touched
-    renders = dataset.root / "renders"
+    _refuse_device(settings, options)  # before anything is touched
+    renders = dataset.renders
     with joined_run(renders, json.dumps(settings.common_recipe(dataset))), _log_file(renders / LOG_FILE):
-        states = _look(dataset, settings, scenes, options)
-        todo = _todo(dataset, states, options)
+        found = _look(dataset, settings, scenes, options)
         whole = set(scenes) == set(dataset.ids())
-        done = [scene_id for scene_id, state in states.items() if state == "done"]
-        skipped = sum(state == "failed" for state in states.values()) if not options.retry_failed else 0
-        result = RunResult(0, len(done), skipped_failures=skipped)
-        if todo:
-            plan = make_plan(dataset, settings, todo, done)
-            for sentence in plan.sentences():
-                say(sentence)
-                log.info(sentence)
-            refusal = plan.refusal()
-            if refusal and not options.ignore_space:
-                raise RenderError(refusal)
-            _note_settings(dataset, settings, whole, finished=False)
+        result = RunResult(0, len(found.done), skipped_failures=found.skipped)
+        if found.todo:
+            _announce(dataset, settings, found, options, say)
+            note_rendering(dataset, settings, whole, finished=False)
             try:
-                tally = _work(dataset, settings, todo, options)
+                tally = _work(dataset, settings, found.todo, options)
             except QueueError:
-                _note_settings(dataset, settings, whole, finished=True)
+                note_rendering(dataset, settings, whole, finished=True)
                 raise
-            counts = tally.counts
-            result = RunResult(counts["rendered"], len(done) + counts["present"], tally.failures, skipped)
-        _note_settings(dataset, settings, whole, finished=True)
+            present = len(found.done) + tally.counts["present"]
+            result = RunResult(tally.counts["rendered"], present, tally.failures, found.skipped)
+        note_rendering(dataset, settings, whole, finished=True)
         log.info(
             "%d rendered, %d were there, %d failed", result.rendered, result.present, len(result.failures)
         )
     return result
 
 
-def _look(
-    dataset: Dataset, settings: RenderSettings, scenes: Sequence[str], options: RunOptions
-) -> dict[str, State]:
+def plan_run(
+    dataset: Dataset,
+    settings: RenderSettings,
+    scenes: Sequence[str],
+    options: RunOptions,
+    say: Callable[[str], object],
+) -> None:
+    """Say what `render_dataset` would do, and render nothing.
+
+    Raises
+    ------
+    RenderError, OtherRunError, ClusterError, BackendError : as of `render_dataset`, but for a scheduler that
+        does not answer.
+    """
+    _refuse_device(settings, options)
+    check_cluster(options.scheduler, options.cluster_file)
+    recipe = json.dumps(settings.common_recipe(dataset))
+    with joined_run(dataset.renders, recipe) if dataset.renders.is_dir() else nullcontext():
+        found = _look(dataset, settings, scenes, options)
+        if found.todo:
+            _announce(dataset, settings, found, options, say)
+        else:
+            say(f"nothing to render: {len(found.done)} scenes are there, {found.skipped} failed earlier")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a run finds: scenes to render, scenes that are there, and how many failed earlier and are left."""
+
+    todo: list[str]
+    done: list[str]
+    skipped: int
+
+
+def _look(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str], options: RunOptions) -> _Found:
     inventory = Inventory(dataset, settings)
-    with tqdm(total=len(scenes), unit="scene", desc="look", disable=not options.progress or None) as bar:
-        return inventory.states(scenes, bar.update)
+    with showing_progress(len(scenes), "scene", "look", show=options.progress) as bar:
+        states = inventory.states(scenes, bar.update)
+    return _Found(
+        todo=_todo(dataset, states, options),
+        done=[scene_id for scene_id, state in states.items() if state == "done"],
+        skipped=sum(state == "failed" for state in states.values()) if not options.retry_failed else 0,
+    )
+
+
+def _announce(
+    dataset: Dataset,
+    settings: RenderSettings,
+    found: _Found,
+    options: RunOptions,
+    say: Callable[[str], object],
+) -> None:
+    """Say the plan; `RenderError` where it does not fit the disk."""
+    plan = make_plan(dataset, settings, found.todo, found.done)
+    for sentence in plan.sentences():
+        say(sentence)
+        log.info(sentence)
+    refusal = plan.refusal()
+    if refusal and not options.ignore_space:
+        raise RenderError(refusal)
+
+
+def _refuse_device(settings: RenderSettings, options: RunOptions) -> None:
+    """`BackendError` where this machine is to render and cannot."""
+    if not (options.scheduler or options.cluster_file):
+        select_variant(settings.device)
 
 
 def _todo(dataset: Dataset, states: dict[str, State], options: RunOptions) -> list[str]:
@@ -168,10 +240,7 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
         cluster_file=options.cluster_file,
         device=settings.device,
     )
-    with (
-        connection as client,
-        tqdm(total=len(todo), unit="scene", desc="render", disable=not options.progress or None) as bar,
-    ):
+    with connection as client, showing_progress(len(todo), "scene", "render", show=options.progress) as bar:
         inventory, failed = Inventory(dataset, settings), 0
 
         def note(outcome: Outcome, final: bool) -> None:
@@ -208,55 +277,6 @@ def _log_outcome(outcome: Outcome, final: bool) -> None:
         )
         for line in outcome.log.splitlines():
             log.info("%s: %s", outcome.scene_id, line)
-
-
-def _note_settings(dataset: Dataset, settings: RenderSettings, whole: bool, *, finished: bool) -> None:
-    """Keep in ``dataset.json`` how the dataset is rendered, and at the end of a run how well.
-
-    Settings of before stay as long as any scene is rendered with them, and the product of before after a run
-    that was not of the whole dataset: a few scenes rendered otherwise do not speak for the others.
-    """
-    before = open_dataset(dataset.root).index.rendering
-    if before is not None:
-        earlier = settings_of(before, dataset)
-        same = earlier.common_recipe(dataset) == settings.common_recipe(dataset)
-        if not finished or (not same and _rendered_errors(dataset, earlier)):
-            return
-        if same and (earlier.wants_transients or not whole):
-            settings = replace(settings, product=earlier.product)  # that of all scenes, not of a few
-    errors = _rendered_errors(dataset, settings) if finished else []
-    known = [error for error in errors if error is not None]
-    layout = settings.layout(dataset)
-    note = RenderingProvenance(
-        method=settings.method,
-        product=settings.product,
-        max_bounces=settings.bounces(dataset),
-        options=asdict(settings.options),
-        width=layout.width,
-        height=layout.height,
-        packages={name: version(name) for name in _PACKAGES},
-        scene_count=len(errors),
-        hidden_error_median=statistics.median(known) if known else None,
-        hidden_error_max=max(known, default=None),
-    )
-    if note != before:
-        index = open_dataset(dataset.root).index  # as it is now: night-gen may have added scenes meanwhile
-        write_index(dataset.root, replace(index, rendering=note))
-
-
-def _rendered_errors(dataset: Dataset, settings: RenderSettings) -> list[float | None]:
-    """Estimated hidden-signal error of every scene rendered with `settings`; None where there is none."""
-    common = settings.common_recipe(dataset)
-    errors = []
-    for scene_id in dataset.ids():
-        record = read_record(dataset.render_folder(scene_id))
-        if record is None:
-            continue
-        recipe = read_recipe(record.recipe)
-        if all(recipe.get(key) == value for key, value in common.items()):
-            error = record.attributes.get("hidden_error")
-            errors.append(float(error) if error is not None else None)
-    return errors
 
 
 @contextmanager

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median_low
 
+from render.byte_size import size
 from render.farm.claims import running
 from render.farm.inventory import Inventory, State
-from render.farm.plan import size
 from render.settings import RenderSettings
 from scenegen import RECORD_FILE, Dataset, read_failure, read_record
+from scenegen.progress import duration
 
 _LATEST = 200  # scenes whose pace counts
 _LISTED = 10  # failures that are named
@@ -88,7 +89,7 @@ def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str
         used += sum(file.bytes for file in record.files.values())
         with suppress(FileNotFoundError):  # it may be about to be rendered again
             times.append((folder / RECORD_FILE).stat().st_mtime)
-    now_running = running(dataset.root / "renders")
+    now_running = running(dataset.renders)
     return Status(
         counts=Counter(states.values()),
         running=now_running,
@@ -97,15 +98,6 @@ def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str
         free_bytes=shutil.disk_usage(dataset.root).free,
         scenes_per_hour=_pace(times) if now_running else None,
     )
-
-
-def duration(seconds: float) -> str:
-    """A time span as people say it."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"
 
 
 def _pace(times: list[float]) -> float | None:

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from itof import unambiguous_range_m
-from render.farm.plan import size
+from render.byte_size import size
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
-from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT
-from scenegen import Dataset, NightError, Preset
+from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, NightError, Preset
 
 CARD_FILE = "README.md"
 CONTACT_SHEET, DISTRIBUTIONS = "preview/contact_sheet.png", "preview/distributions.png"
@@ -95,7 +94,7 @@ def _class_table(found: Distributions) -> str:
 
 
 def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
-    preset, rendering = dataset.preset, dataset.index.rendering
+    preset, rendering = dataset.preset, dataset.rendering
     camera, axis = preset.camera, preset.transient
     asked = f"{camera.width} x {camera.height} pixels asked for"
     rendered = f"{size_text(found.image_sizes)} rendered" if found.image_sizes else "none rendered"
@@ -122,14 +121,14 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
 
 
 def _making(dataset: Dataset) -> str:
-    index, rendering = dataset.index, dataset.index.rendering
+    index, rendering = dataset.index, dataset.rendering
     made = [("scenes by", f"{index.generator} {index.generator_version}, Blender {index.blender_version}")]
     made.append(("seed", f"{index.seed}; scene *i* depends on the seed and *i* alone"))
     if index.packages:
         made.append(("packages of the scenes", _versions(index.packages)))
     made += [(f"mesh `{shape}`", f"SHA-256 {digest}") for shape, digest in index.meshes.items()]
     if rendering is None:
-        made.append(("rendering", "dataset.json has no record of it"))
+        made.append(("rendering", "there is no record of it"))
     else:
         options = ", ".join(
             f"{name} {value}" for name, value in rendering.options.items() if value is not None
@@ -163,16 +162,16 @@ def _reading(dataset: Dataset, found: Distributions) -> str:
 
 - `dataset.json`: the scene list (id, class, split) and the preset
 - `scenes/{scene_id}/`: the scene as data, and as Mitsuba 3 files with their meshes
-- `renders/{scene_id}/{MEASUREMENT}`: complex phasors `itof.<f>MHz.Re`, `.Im`
-- `renders/{scene_id}/{GROUND_TRUTH}`: `depth.R` (radial depth in metres, 0 on background), `mask.M`
-- `renders/{scene_id}/{SCENE_TRANSIENT}`: the measurement over time, if it was rendered
+- `renders/{scene_id}/{MEASUREMENT_FILE}`: complex phasors `itof.<f>MHz.Re`, `.Im`
+- `renders/{scene_id}/{GROUND_TRUTH_FILE}`: `depth.R` (radial depth in metres, 0 on background), `mask.M`
+- `renders/{scene_id}/{TRANSIENT_FILE}`: the measurement over time, if it was rendered
 
 ```python
 from itof import depth_from_phase, phase, read_image
 
-z, frequencies_hz = read_image("renders/{scene_id}/{MEASUREMENT}").phasors()  # (H, W, F) complex
+z, frequencies_hz = read_image("renders/{scene_id}/{MEASUREMENT_FILE}").phasors()  # (H, W, F) complex
 wall_depth_m = depth_from_phase(phase(z[..., 0]), frequencies_hz[0])
-hidden_depth_m = read_image("renders/{scene_id}/{GROUND_TRUTH}").channel("depth.R")  # (H, W)
+hidden_depth_m = read_image("renders/{scene_id}/{GROUND_TRUTH_FILE}").channel("depth.R")  # (H, W)
 ```"""
 
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import Image, ImageFileError, amplitude, direct_phasors, read_image
-from render.settings import GROUND_TRUTH, MEASUREMENT, RenderError
-from scenegen import Dataset, Scene, camera_axes, wall_normal
+from itof import DepthMap, Image, ImageFileError, amplitude, direct_phasors, read_image
+from render.settings import RenderError
+from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, Scene, camera_axes, wall_normal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,7 +73,7 @@ def choose_scenes(dataset: Dataset, count: int) -> list[str]:
 def is_rendered(dataset: Dataset, scene_id: str) -> bool:
     """Whether measurement and ground truth of a scene are there."""
     folder = dataset.render_folder(scene_id)
-    return (folder / MEASUREMENT).is_file() and (folder / GROUND_TRUTH).is_file()
+    return (folder / MEASUREMENT_FILE).is_file() and (folder / GROUND_TRUTH_FILE).is_file()
 
 
 def read_tile(dataset: Dataset, scene_id: str, view: NDArray[np.uint8]) -> Tile:
@@ -88,21 +88,18 @@ def read_tile(dataset: Dataset, scene_id: str, view: NDArray[np.uint8]) -> Tile:
     measured = hidden = depth_m = None
     is_residual = False
     if is_rendered(dataset, scene_id):
-        image = read_image(folder / MEASUREMENT)
+        image = read_image(folder / MEASUREMENT_FILE)
         is_residual = not any(name.startswith("hidden.") for name in image.channels)
-        measured = checked_pixels(scene_id, MEASUREMENT, lambda: amplitude(image.phasors()[0][..., 0]))
-        hidden = checked_pixels(scene_id, MEASUREMENT, lambda: _hidden(scene, image, is_residual))
-        depth_m, mask = read_ground_truth(dataset, scene_id)
-        depth_m = np.where(mask, depth_m, np.nan)
+        measured = checked_pixels(scene_id, MEASUREMENT_FILE, lambda: amplitude(image.phasors()[0][..., 0]))
+        hidden = checked_pixels(scene_id, MEASUREMENT_FILE, lambda: _hidden(scene, image, is_residual))
+        truth = read_ground_truth(dataset, scene_id)
+        depth_m = np.where(truth.mask, truth.radial_depth_m, np.nan)
     return Tile(_title(dataset, scene), view, measured, hidden, is_residual, depth_m)
 
 
-def read_ground_truth(dataset: Dataset, scene_id: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Radial depth (H, W) in metres and mask (H, W) of a rendered scene; errors as `read_tile`."""
-    image = read_image(dataset.render_folder(scene_id) / GROUND_TRUTH)
-    depth_m = checked_pixels(scene_id, GROUND_TRUTH, lambda: image.channel("depth.R"))
-    mask = checked_pixels(scene_id, GROUND_TRUTH, lambda: image.channel("mask.M"))
-    return depth_m, mask > 0
+def read_ground_truth(dataset: Dataset, scene_id: str) -> DepthMap:
+    """Ground truth (H, W) of a rendered scene; `ImageFileError` when it is damaged, by file."""
+    return DepthMap.read(dataset.render_folder(scene_id) / GROUND_TRUTH_FILE)
 
 
 def checked_pixels(

@@ -13,17 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from itof import TransientReader, phasor_channels, read_image, write_image
-from render.farm.claims import joined_run
-from render.settings import IMAGES, SCENE_TRANSIENT, TRANSIENTS
+from render.farm.claims import joined_run, noting
 from scenegen import (
+    IMAGE_FILES,
+    TRANSIENT_FILE,
+    TRANSIENT_FILES,
     Dataset,
     NightError,
-    open_dataset,
     read_record,
     sha256_of,
     whole_file,
-    write_index,
     write_record,
+    write_rendering_record,
 )
 
 
@@ -41,10 +42,10 @@ def open_transient(dataset: Dataset, scene_id: str) -> TransientReader:
     ImageFileError : the file is damaged.
     """
     dataset.entry(scene_id)
-    file = dataset.render_folder(scene_id) / SCENE_TRANSIENT
+    file = dataset.render_folder(scene_id) / TRANSIENT_FILE
     if not file.is_file():
         raise ExportError(
-            f"scene {scene_id} of {dataset.root} has no {SCENE_TRANSIENT}: "
+            f"scene {scene_id} of {dataset.root} has no {TRANSIENT_FILE}: "
             "render it with night-render --product transient or both"
         )
     return TransientReader(file)
@@ -97,7 +98,7 @@ def convert_to_itof(
     if not np.isfinite(phasor).all():
         raise ExportError(f"scene {scene_id}: {reader.path} holds NaN or infinity: render it again")
     attributes["frequencies_hz"] = repr(wanted_hz)
-    attributes["phasors_from"] = f"bins of {SCENE_TRANSIENT}"
+    attributes["phasors_from"] = f"bins of {TRANSIENT_FILE}"
     with exported_file(out) as partial:
         write_image(partial, phasor_channels(phasor, wanted_hz), attributes)
     return out
@@ -123,7 +124,7 @@ def shrink_to_itof(dataset: Dataset, scene_id: str) -> int:
     record = read_record(folder)
     if record is None:
         raise ExportError(f"scene {scene_id} of {dataset.root} is not rendered: nothing to shrink")
-    for name in IMAGES:
+    for name in IMAGE_FILES:
         file = folder / name
         expected = record.files.get(name)
         if expected is None or not file.is_file() or sha256_of(file) != expected.sha256:
@@ -133,9 +134,9 @@ def shrink_to_itof(dataset: Dataset, scene_id: str) -> int:
             )
         if not all(np.isfinite(values).all() for values in read_image(file).channels.values()):
             raise ExportError(f"scene {scene_id}: {name} holds NaN, so its transients stay: render it again")
-    files = [folder / name for name in TRANSIENTS if (folder / name).is_file()]
+    files = [folder / name for name in TRANSIENT_FILES if (folder / name).is_file()]
     freed = sum(file.stat().st_size for file in files)
-    kept = {name: entry for name, entry in record.files.items() if name not in TRANSIENTS}
+    kept = {name: entry for name, entry in record.files.items() if name not in TRANSIENT_FILES}
     if kept != record.files:
         write_record(folder, replace(record, files=kept))
     for file in files:
@@ -154,12 +155,13 @@ def shrink_dataset(dataset: Dataset, scenes: Iterable[str]) -> int:
     bare = [scene_id for scene_id in wanted if read_record(dataset.render_folder(scene_id)) is None]
     if bare:
         raise ExportError(f"{len(bare)} scenes (first {bare[0]}) are not rendered: nothing was deleted")
-    with joined_run(dataset.root / "renders", "conversion to itof"):
+    with joined_run(dataset.renders, "conversion to itof"):
         return _shrink(dataset, wanted)
 
 
 def _shrink(dataset: Dataset, wanted: list[str]) -> int:
-    index = open_dataset(dataset.root).index
-    if index.rendering is not None and set(wanted) == set(dataset.ids()):
-        write_index(dataset.root, replace(index, rendering=replace(index.rendering, product="itof")))
+    with noting(dataset.renders):
+        rendering = dataset.rendering
+        if rendering is not None and set(wanted) == set(dataset.ids()):
+            write_rendering_record(dataset.renders, replace(rendering, product="itof"))
     return sum(shrink_to_itof(dataset, scene_id) for scene_id in wanted)

@@ -63,7 +63,7 @@ def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Dist
     Raises
     ------
     ImageFileError, RenderError : a damaged ground truth.
-    DatasetError, PresetError : a scene that is gone or damaged.
+    DatasetError : a scene that is gone or damaged.
     """
     first: list[HiddenObject] = []
     second: list[HiddenObject] = []
@@ -78,7 +78,7 @@ def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Dist
             roughness.append(scene.relay_wall.roughness)
         class_counts.setdefault(entry.object_class, dict.fromkeys(SPLITS, 0))[entry.split] += 1
         if is_rendered(dataset, entry.id):
-            _, mask = read_ground_truth(dataset, entry.id)
+            mask = read_ground_truth(dataset, entry.id).mask
             object_pixels[entry.id], image_pixels[entry.id] = int(mask.sum()), mask.size
             sizes.add((mask.shape[1], mask.shape[0]))
         on_scene()

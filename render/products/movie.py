@@ -23,7 +23,9 @@ from render.products.conversion import ExportError, exported_file
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-DECADES = 6.0  # from black to the brightest: the hidden return is 4 to 5 decades below (DESIGN 4.1)
+# From black to the brightest: the hidden return is 4 to 5 decades below the direct one (docs/design.md,
+# Hidden signal is small).
+DECADES = 6.0
 _BRIGHTEN = 0.75  # exponent on the logarithmic scale, which lifts the hidden return out of the dark
 _MOST_BYTES = 256 * 2**20  # of all frames as float32, before they are drawn
 _MOST_PIXELS_WIDE, _NARROWEST = 1280, 240  # the label is 230 pixels wide

@@ -23,7 +23,7 @@ from render.products.distributions import distributions_figure, read_distributio
 from render.settings import RenderError
 from scenegen import Dataset, Scene, rotation_matrix, whole_file, write_text
 from scenegen.making.meshes import UserMesh
-from scenegen.preset import MESH_PREFIX
+from scenegen.shapes import MESH_PREFIX
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def write_preview(
     ------
     CardError : a licence that is empty.
     ImageFileError, RenderError : a damaged render.
-    DatasetError, PresetError : a scene that is gone or damaged.
+    DatasetError : a scene that is gone or damaged.
     """
     chosen = None if licence is None else checked_licence(licence)
     found = read_distributions(dataset, on_step)

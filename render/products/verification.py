@@ -16,19 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import (
+    DepthMap,
     Image,
     ImageFileError,
     TransientReader,
     phase_per_metre,
-    phasor_of_return,
     pixel_types,
     read_image,
 )
 from render.farm.claims import claimed
 from render.products.geometry import traced_depth_m
-from render.settings import GROUND_TRUTH, MEASUREMENT, SCENE_TRANSIENT, TRANSIENTS, read_recipe, scene_sha256
+from render.settings import read_recipe, scene_sha256
 from scenegen import (
+    GROUND_TRUTH_FILE,
+    MEASUREMENT_FILE,
     RECORD_FILE,
+    TRANSIENT_FILE,
+    TRANSIENT_FILES,
     Dataset,
     RenderRecord,
     open_dataset,
@@ -46,10 +50,27 @@ _DEPTH_TOLERANCE_M = 1e-4  # float32 rays over a few metres are good to 1e-6 m; 
 
 @dataclass(frozen=True)
 class Verification:
-    """How many scenes were checked, and what is wrong with each bad one, as sentences."""
+    """What a check of scenes found.
+
+    Attributes
+    ----------
+    checked : scenes that are rendered, and so were checked.
+    problems : what is wrong with each bad one, as sentences.
+    missing : scenes that are not rendered.
+    """
 
     checked: int
     problems: dict[str, list[str]]
+    missing: int = 0
+
+    def sentences(self) -> list[str]:
+        """The outcome for people to read."""
+        bad = len(self.problems)
+        return [
+            *(f"bad: {scene_id}: {'; '.join(problems)}" for scene_id, problems in self.problems.items()),
+            f"{self.checked} scenes checked: {self.checked - bad} good, {bad} bad; "
+            f"{self.missing} not rendered",
+        ]
 
 
 def verify(
@@ -70,13 +91,13 @@ def verify(
         on_scene()
         if problems and (still := _condemned(dataset, scene_id, problems)):
             bad[scene_id] = still
-    return Verification(len(rendered), bad)
+    return Verification(len(rendered), bad, missing=len(scenes) - len(rendered))
 
 
 def _condemned(dataset: Dataset, scene_id: str, problems: list[str]) -> list[str]:
     """Remove the record of a bad scene, if it is bad still; what is wrong with it."""
     try:
-        with claimed(dataset.root / "renders", scene_id) as claim:
+        with claimed(dataset.renders, scene_id) as claim:
             if claim is None:
                 return []  # it is being rendered again
             problems = verify_scene(dataset, scene_id)
@@ -103,14 +124,14 @@ def verify_scene(dataset: Dataset, scene_id: str) -> list[str]:
             return ["the scene was changed after it was rendered"]
         width, height = recipe["size"]
         problems += _wrong_storage(folder, record)
-        image, truth = read_image(folder / MEASUREMENT), read_image(folder / GROUND_TRUTH)
-        problems += _wrong_pixels(MEASUREMENT, image, (height, width))
-        problems += _wrong_pixels(GROUND_TRUTH, truth, (height, width))
+        image, truth = read_image(folder / MEASUREMENT_FILE), read_image(folder / GROUND_TRUTH_FILE)
+        problems += _wrong_pixels(MEASUREMENT_FILE, image, (height, width))
+        problems += _wrong_pixels(GROUND_TRUTH_FILE, truth, (height, width))
         if problems:
             return problems
         problems += _wrong_phasors(image, dataset.preset.itof.frequencies_hz)
         problems += _wrong_truth(dataset, scene_id, truth)
-        for name in TRANSIENTS:
+        for name in TRANSIENT_FILES:
             if name in record.files:
                 problems += _wrong_transient(folder / name, image, (height, width))
     except (ValueError, KeyError, TypeError, OSError) as error:
@@ -167,31 +188,32 @@ def _wrong_pixels(name: str, image: Image, shape: tuple[int, int]) -> Iterator[s
 def _wrong_phasors(image: Image, frequencies_hz: tuple[float, ...]) -> Iterator[str]:
     total, found_hz = image.phasors()
     if found_hz != frequencies_hz:
-        yield f"{MEASUREMENT} has phasors at {found_hz} Hz instead of {frequencies_hz}"
+        yield f"{MEASUREMENT_FILE} has phasors at {found_hz} Hz instead of {frequencies_hz}"
     elif _has(image, "hidden"):
         parts = image.phasors("direct")[0] + image.phasors("hidden")[0]
         if np.abs(total - parts).max() > _FLOAT_ROUNDING * np.abs(total).max():
-            yield f"{MEASUREMENT}: direct and hidden part do not add up to the whole"
+            yield f"{MEASUREMENT_FILE}: direct and hidden part do not add up to the whole"
 
 
-def _wrong_truth(dataset: Dataset, scene_id: str, truth: Image) -> Iterator[str]:
-    depth_m, mask = truth.channel("depth.R"), truth.channel("mask.M")
-    if not np.isin(mask, (0.0, 1.0)).all() or ((depth_m > 0) != (mask > 0)).any():
-        yield f"{GROUND_TRUTH}: depth and mask do not fit each other"
+def _wrong_truth(dataset: Dataset, scene_id: str, image: Image) -> Iterator[str]:
+    truth = DepthMap.of_image(image)
+    depth_m, mask = truth.radial_depth_m, truth.mask
+    if ((depth_m > 0) != mask).any():
+        yield f"{GROUND_TRUTH_FILE}: depth and mask do not fit each other"
         return
-    phasor, (reference_hz,) = truth.phasors()
-    expected = mask * phasor_of_return(depth_m, reference_hz)
-    turns_rad = 2 * depth_m * phase_per_metre((reference_hz,))[0]  # optical path is out and back: 2 depths
-    if (np.abs(phasor[..., 0] - expected) > _FLOAT_ROUNDING * (1 + turns_rad)).any():
-        yield f"{GROUND_TRUTH}: phasor and depth do not fit each other"
+    expected = DepthMap.of_object(depth_m, mask, truth.frequency_hz).phasor
+    turns_rad = 2 * depth_m * phase_per_metre(truth.frequency_hz)  # the optical path is twice the depth
+    if (np.abs(truth.phasor - expected) > _FLOAT_ROUNDING * (1 + turns_rad)).any():
+        yield f"{GROUND_TRUTH_FILE}: phasor and depth do not fit each other"
     rows, columns = _sample_pixels(mask)
     traced_m = traced_depth_m(dataset, scene_id, mask.shape, rows, columns)
     off = np.abs(traced_m - depth_m[rows, columns]) > _DEPTH_TOLERANCE_M
     if off.any():
         row, column, expected_m = next(zip(rows[off], columns[off], traced_m[off], strict=True))
         yield (
-            f"{GROUND_TRUTH}: depth of {off.sum()} of {len(off)} sampled pixels is not that of the geometry "
-            f"(row {row}, column {column}: {depth_m[row, column]:.4f} m instead of {expected_m:.4f} m)"
+            f"{GROUND_TRUTH_FILE}: depth of {off.sum()} of {len(off)} sampled pixels is not that of the "
+            f"geometry (row {row}, column {column}: {depth_m[row, column]:.4f} m instead of "
+            f"{expected_m:.4f} m)"
         )
 
 
@@ -204,12 +226,12 @@ def _wrong_transient(file: Path, image: Image, shape: tuple[int, int]) -> Iterat
         binned = reader.phasors(image.phasors()[1])
     if not np.isfinite(binned).all():
         yield f"{file.name} holds NaN or infinity"
-    elif file.name == SCENE_TRANSIENT:
+    elif file.name == TRANSIENT_FILE:
         exact = image.phasors()[0]
         scale = np.linalg.norm(image.phasors("hidden")[0]) if _has(image, "hidden") else 0.0
         allowed = max(BINNED_TOLERANCE * scale, _FLOAT_ROUNDING * np.linalg.norm(exact))
         if np.linalg.norm(binned - exact) > allowed:
-            yield f"{file.name}: its phasors are not those of {MEASUREMENT}"
+            yield f"{file.name}: its phasors are not those of {MEASUREMENT_FILE}"
 
 
 def _has(image: Image, prefix: str) -> bool:
@@ -220,16 +242,16 @@ def _has(image: Image, prefix: str) -> bool:
     return True
 
 
-def _sample_pixels(mask: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sample_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of pixels spread over object and background, none beside an edge of the mask."""
     same = np.ones(mask.shape, bool)
-    changes_down, changes_right = np.diff(mask, axis=0) != 0, np.diff(mask, axis=1) != 0
+    changes_down, changes_right = np.diff(mask, axis=0), np.diff(mask, axis=1)
     same[:-1] &= ~changes_down
     same[1:] &= ~changes_down
     same[:, :-1] &= ~changes_right
     same[:, 1:] &= ~changes_right
     rows, columns = [], []
-    for wanted in (0.0, 1.0):
+    for wanted in (False, True):
         found = np.argwhere(same & (mask == wanted))
         chosen = found[np.linspace(0, len(found) - 1, min(len(found), _SAMPLE_RAYS // 2)).astype(int)]
         rows.append(chosen[:, 0])

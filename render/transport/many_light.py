@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from render.options import ManyLightOptions
 from render.transport.gather_pass import (
     Grid,
     PixelRule,
@@ -24,7 +25,7 @@ from render.transport.gather_pass import (
 )
 from render.transport.hidden_surface import HiddenSurface, read_hidden_surface
 from render.transport.light_pass import Lights, light_density, make_lights, no_lights
-from render.transport.method import MethodOptions, PhasorImage, View
+from render.transport.method import PhasorImage, View
 from render.transport.scene_checks import check_many_light_scene
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ class ManyLight:
     variant : the active Mitsuba variant.
     """
 
-    name = "many-light"
+    name = ManyLightOptions.method
 
-    def __init__(self, options: MethodOptions, variant: str) -> None:
+    def __init__(self, options: ManyLightOptions, variant: str) -> None:
         self.options = options
 
     def expose(self, scene: mi.Scene, view: View) -> ManyLightExposure:
@@ -145,9 +146,9 @@ class ManyLightExposure:
         counts = {"lights": str(len(self.lights))}
         return counts if self.error is None else {**counts, "hidden_error": f"{self.error:.3g}"}
 
-    def phasors(self, frequencies_hz: tuple[float, ...]) -> PhasorImage:
+    def phasors(self) -> PhasorImage:
         """Exact phasors: no bins, and no noise of the direct return in the hidden part."""
-        grid = Grid(self.view.layout.width, self.view.layout.height)
+        grid, frequencies_hz = Grid(self.view.layout.width, self.view.layout.height), self.view.frequencies_hz
         direct = gather_direct(self.scene, grid, frequencies_hz, _DIRECT_RULE, self.view.seed)
         hidden = gather_lights(self.scene, grid, frequencies_hz, self._hidden_rule, self.lights)
         return PhasorImage(direct + hidden, direct, hidden, self.error)

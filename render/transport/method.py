@@ -16,29 +16,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class MethodOptions:
-    """What methods can be told; each looks at its own.
-
-    Attributes
-    ----------
-    spp : paths per pixel (``path``).
-    lights : surface points (``many-light``); None to choose by `error`.
-    error : wanted error of the hidden phasors, relative to them (``many-light``).
-    """
-
-    spp: int = 4096
-    lights: int | None = None
-    error: float = 0.01
-
-
-@dataclass(frozen=True)
 class View:
     """One measurement of a scene.
 
     Attributes
     ----------
     layout : image size and time axis (optical path length).
-    frequencies_hz : modulation frequencies of interest, Hz.
+    frequencies_hz : modulation frequencies, Hz, F of them.
     max_bounces : how many surfaces light may meet.
     seed : random stream of this measurement; same seed, same numbers on the same device.
     """
@@ -74,8 +58,8 @@ class Exposure(Protocol):
     def attributes(self) -> dict[str, str]:
         """Provenance for the files made of it, text by name."""
 
-    def phasors(self, frequencies_hz: tuple[float, ...]) -> PhasorImage | None:
-        """Exact phasors, or None where the method knows only bins."""
+    def phasors(self) -> PhasorImage | None:
+        """Exact phasors at the view's frequencies, or None where the method knows only bins."""
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Image rows from top to bottom in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""

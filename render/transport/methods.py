@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+from render.options import ManyLightOptions, PathOptions
 from render.transport.many_light import ManyLight
-from render.transport.method import Method, MethodOptions
+from render.transport.method import Method
 from render.transport.path_tracer import PathTracer
 
-# A method is built from its options and the active Mitsuba variant.
-METHODS: dict[str, Callable[[MethodOptions, str], Method]] = {
-    ManyLight.name: ManyLight,
-    PathTracer.name: PathTracer,
+# A method is built from its own options and the active Mitsuba variant.
+METHODS: dict[str, Callable[[Any, str], Method]] = {
+    ManyLightOptions.method: ManyLight,
+    PathOptions.method: PathTracer,
 }
-DEFAULT_METHOD = ManyLight.name

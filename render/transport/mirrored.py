@@ -2,38 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from itof import phasor_of_return
+from itof import DepthMap
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 
-@dataclass(frozen=True)
-class GroundTruth:
-    """Depth map of the mirrored scene, one ray through every pixel centre.
-
-    Attributes
-    ----------
-    radial_depth_m : (H, W) float64, along the ray from the pinhole; 0 on the background.
-    mask : (H, W) bool, True on the hidden object.
-    """
-
-    radial_depth_m: NDArray[np.float64]
-    mask: NDArray[np.bool_]
-
-    def phasor(self, frequency_hz: float) -> NDArray[np.complex128]:
-        """(H, W) network target: amplitude 1 on the object and 0 elsewhere."""
-        return np.where(self.mask, phasor_of_return(self.radial_depth_m, frequency_hz), 0.0)
-
-
-def trace_ground_truth(mirrored_scene: mi.Scene, width: int, height: int) -> GroundTruth:
-    """Intersect one ray per pixel centre with the mirrored scene.
+def trace_ground_truth(mirrored_scene: mi.Scene, width: int, height: int, frequency_hz: float) -> DepthMap:
+    """Depth map (H, W) of the mirrored scene, by one ray from the pinhole through each pixel centre.
 
     A pixel belongs to the object when the first surface its ray meets is a shape whose id starts with
     ``mirrored_``; all other surfaces are background.
@@ -53,6 +33,5 @@ def trace_ground_truth(mirrored_scene: mi.Scene, width: int, height: int) -> Gro
     on_object = on_shapes(hit, shapes)
     depth = dr.select(on_object, hit.t, 0.0)
     dr.eval(depth, on_object)
-    return GroundTruth(
-        np.array(depth, dtype=np.float64).reshape(height, width), np.array(on_object).reshape(height, width)
-    )
+    radial_depth_m = np.array(depth, dtype=np.float64).reshape(height, width)
+    return DepthMap.of_object(radial_depth_m, np.array(on_object).reshape(height, width), frequency_hz)

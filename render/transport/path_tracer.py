@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from render.transport.method import MethodOptions, View
+from render.options import PathOptions
+from render.transport.method import View
 from render.transport.transient_film import FILM_PLUGIN, register_film
 
 if TYPE_CHECKING:
@@ -36,9 +37,9 @@ class PathTracer:
     variant : the active Mitsuba variant.
     """
 
-    name = "path"
+    name = PathOptions.method
 
-    def __init__(self, options: MethodOptions, variant: str) -> None:
+    def __init__(self, options: PathOptions, variant: str) -> None:
         self.passes = -(-options.spp // _SAMPLES_PER_PASS)
         self.spp_per_pass = _whole_strata(-(-options.spp // self.passes))
         register_film(variant)
@@ -69,7 +70,7 @@ class PathExposure:
         """Provenance for the file: the paths per pixel that were really traced."""
         return {"spp": str(self.passes * self.spp_per_pass)}
 
-    def phasors(self, frequencies_hz: tuple[float, ...]) -> None:
+    def phasors(self) -> None:
         """None: mitransient's films know only bins."""
         return
 

@@ -3,7 +3,7 @@
 mitransient's ``transient_hdr_film`` stores the whole image even when cropped, an unused weight channel, and
 puts every return into one bin. This one stores the crop alone, one float per bin, and splits every return
 linearly between the two nearest bin centres (a tent), so that Φ x has a phase error of 1e-5 instead of 6e-3
-rad at 60 MHz (DESIGN 4.3).
+rad at 60 MHz (docs/design.md, Time bins).
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from typing import Protocol
 from scenegen.dataset import Dataset, DatasetError, build_index, open_dataset, write_index
 from scenegen.files.whole_files import is_partial, remove_leftovers, whole_folder
 from scenegen.preset import Preset
+from scenegen.rendering_record import read_rendering_record, write_rendering_record
 from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene, scene_from_json, scene_id
 
@@ -72,10 +73,10 @@ def generate(
 ) -> Dataset:
     """Make all scenes of `preset` in `root`, in this process; add them to those of a smaller count.
 
-    Every scene's folder appears whole or not at all and ``dataset.json`` comes last, with the record of the
-    renders that it had. Same preset, same bytes: every scene is made again, which costs milliseconds; a
-    folder that holds just that stays untouched, any other is replaced. So what was interrupted goes on and
-    what was damaged is mended. Scenes that an interrupted run of more scenes left are removed.
+    Every scene's folder appears whole or not at all and ``dataset.json`` comes last. Same preset, same
+    bytes: every scene is made again, which costs milliseconds; a folder that holds just that stays
+    untouched, any other is replaced. So what was interrupted goes on and what was damaged is mended.
+    Scenes that an interrupted run of more scenes left are removed.
 
     Parameters
     ----------
@@ -105,9 +106,15 @@ def finish(
     """Take in the scenes as they are made, then write the index."""
     index = build_index(preset, scenes, version, meshes=meshes)
     if (root / "dataset.json").exists():
-        index = replace(index, rendering=open_dataset(root).index.rendering)
+        _keep_rendering(open_dataset(root))
     write_index(root, index)
     return open_dataset(root)
+
+
+def _keep_rendering(dataset: Dataset) -> None:
+    """Give a dataset's rendering record the file of its own that it has had since schema 3."""
+    if dataset.index.rendering is not None and read_rendering_record(dataset.renders) is None:
+        write_rendering_record(dataset.renders, dataset.index.rendering)
 
 
 def reported(scenes: Iterable[Scene], on_scene: Callable[[], None]) -> Iterator[Scene]:

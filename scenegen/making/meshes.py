@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from scenegen.night_error import NightError
-from scenegen.preset import MESH_PREFIX, Preset, Shape
+from scenegen.preset import Preset
+from scenegen.shapes import MESH_PREFIX, Shape
 
 MAX_TRIANGLES = 2_000_000  # 26 MB a PLY file; Blender takes seconds for each of them
 MAX_FILE_BYTES = 2**30  # two million triangles as text are about half of it
@@ -137,14 +138,10 @@ def _in_unit_box(
 def _merged(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Vertices at the same float32 place made one, in ascending order."""
+    """One vertex for each float32 place, ascending in x, then y, then z; triangles of these vertices."""
     rounded = vertices.astype(np.float32) + np.float32(0)  # adding 0 makes -0 and 0 the same
-    order = np.lexsort(rounded.T[::-1])
-    ordered = rounded[order]
-    is_new = np.r_[True, (ordered[1:] != ordered[:-1]).any(axis=1)]
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.cumsum(is_new) - 1
-    return ordered[is_new], rank[triangles]
+    places, place_of = np.unique(rounded, axis=0, return_inverse=True)  # (U, 3), (V,)
+    return places, place_of[triangles]
 
 
 def _has_area(vertices: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -157,11 +154,9 @@ def _has_area(vertices: NDArray[np.float32], triangles: NDArray[np.int64]) -> ND
 
 
 def _first_of_each(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where each set of three vertices comes first, in order."""
-    corners = np.sort(triangles, axis=1)
-    order = np.lexsort(corners.T[::-1])  # stable: equal ones keep the file's order
-    is_new = np.r_[True, (corners[order][1:] != corners[order][:-1]).any(axis=1)]
-    return np.sort(order[is_new])
+    """Ascending indices of the first triangle of each set of three vertices."""
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    return np.sort(first)
 
 
 def _outermost(vertices: NDArray[np.float32]) -> NDArray[np.int64]:

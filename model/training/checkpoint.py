@@ -1,0 +1,48 @@
+"""``checkpoint.pt`` of a run folder: all that a training needs to go on, in the middle of an epoch or not."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from model.run_folder import RUN_SCHEMA, RunError
+from scenegen import whole_file
+
+KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
+
+
+def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
+    """Write ``checkpoint.pt``: tensors, numbers and text only; `state` has the keys of KEYS."""
+    with whole_file(folder / "checkpoint.pt") as partial:
+        torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
+
+
+def load_checkpoint(folder: Path) -> dict[str, Any] | None:
+    """Read ``checkpoint.pt`` into memory; None when there is none yet.
+
+    Raises
+    ------
+    RunError : a damaged or foreign file.
+    """
+    file = folder / "checkpoint.pt"
+    if not file.is_file():
+        return None
+    try:
+        with warnings.catch_warnings():  # torch warns of pickles that it then refuses
+            warnings.simplefilter("ignore", UserWarning)
+            state = torch.load(file, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
+    except (RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
+        raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
+    if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:
+        raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: train again from the start")
+    missing = KEYS - state.keys()
+    if missing:
+        raise RunError(f"{file} lacks {' and '.join(sorted(missing))}: train again from the start")
+    return state

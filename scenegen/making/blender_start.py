@@ -1,0 +1,38 @@
+"""Loads Blender as a Python module: quietly, with a settings folder of its own.
+
+All modules named ``blender...`` take `bpy`, `bmesh` and `mathutils` from here, so that the steps below always
+come first.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from functools import cache
+
+from scenegen.chatter import silenced
+
+STDOUT, STDERR = 1, 2  # Blender's C code prints to these file descriptors
+
+# Blender writes settings into the home folder unless this variable names another one; it is read at import.
+_SETTINGS = tempfile.TemporaryDirectory(prefix="night-blender-")
+os.environ.setdefault("BLENDER_USER_RESOURCES", _SETTINGS.name)
+with silenced(STDOUT):
+    import bpy
+with silenced(STDOUT):  # bpy makes these modules available
+    import bmesh
+    from mathutils import Matrix
+    from mathutils import Vector as BlenderVector
+    from mathutils.bvhtree import BVHTree
+
+__all__ = ["STDERR", "STDOUT", "BVHTree", "BlenderVector", "Matrix", "bmesh", "bpy", "empty_blender"]
+
+
+@cache
+def empty_blender() -> None:
+    """Remove the objects that Blender starts with.
+
+    Runs once in a process: a second reset would also remove the meshes of another `BlenderMaker`.
+    """
+    with silenced(STDOUT):
+        bpy.ops.wm.read_factory_settings(use_empty=True)

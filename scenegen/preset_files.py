@@ -1,0 +1,48 @@
+"""Preset files: TOML, found by path or by name among the files that come with the program."""
+
+from __future__ import annotations
+
+import sysconfig
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from scenegen.night_error import NightError
+
+
+class PresetError(NightError):
+    """A preset that is missing, cannot be read, or asks for something impossible."""
+
+
+def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
+    """Read a TOML file, given by its path or by its name in data/<kind>.
+
+    Parameters
+    ----------
+    kind : folder of data/: ``presets`` (datasets) or ``training``.
+    name_or_file : name without ``.toml``, or a path.
+
+    Returns
+    -------
+    The contents as plain data, and the path of the file.
+
+    Raises
+    ------
+    PresetError : there is no such file, or it is not TOML.
+    """
+    named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
+    file = named.get(name_or_file, Path(name_or_file))
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
+    except (FileNotFoundError, IsADirectoryError):
+        raise PresetError(
+            f"no preset {name_or_file}: give a .toml file or one of {', '.join(sorted(named))}"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise PresetError(f"{file} cannot be read as TOML: {error}") from None
+
+
+def data_folder(kind: str) -> Path:
+    """Path of data/<kind>, the files that come with the program: in the source tree, else as installed."""
+    source = Path(__file__).parent.parent / "data" / kind
+    return source if source.is_dir() else Path(sysconfig.get_path("data")) / "share" / "night" / kind
