@@ -1,4 +1,6 @@
-"""What an iToF measurement is: phasors, phase, depth, normalisation, and the EXR files that hold them.
+"""iToF measurements: phasors, phase, depth, network channels, and the EXR files of images and transients.
+
+Imports no other package of NIGHT.
 
 Arrays are numpy, image axes are (..., H, W, F) or (..., H, W, T), lengths are metres of *optical path*
 (out and back) where a name says `opl`, and metres of depth (half of it) where it says `depth`.

@@ -1,7 +1,7 @@
-"""Network channels: how a measurement is normalised for the network, and back.
+"""Network channels: normalised measurements as network input, and the way back.
 
-Arrays may be numpy's or any other library's that the array API describes (torch's tensors on a GPU): the
-result is of the same library, on the same device.
+Arrays may be of numpy or of any other library that supports the array API standard, such as torch on a GPU.
+The result is an array of the same library on the same device.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from array_api_compat import array_namespace, is_array_api_obj, is_numpy_array
 def network_channels(phasor: Any, amplitude_scale: float) -> Any:
     """The paper's network input: [A_0 / scale, Re_f / A_0 (F of them), Im_f / A_0 (F of them)].
 
-    A_0 is the amplitude at the first frequency (20 MHz in the paper). Pixels that received no light
-    have A_0 = 0 and become 0 in every channel.
+    A_0 is the amplitude at the first frequency (20 MHz in the paper). Pixels without light (A_0 = 0) are 0 in
+    every channel.
 
     Parameters
     ----------
     phasor : (..., H, W, F) complex.
-    amplitude_scale : constant of the dataset that brings A_0 near 1, in the unit of `phasor`, above 0.
+    amplitude_scale : positive constant of the dataset, in the unit of `phasor`; A_0 / scale is about 1.
 
     Returns
     -------
@@ -30,9 +30,9 @@ def network_channels(phasor: Any, amplitude_scale: float) -> Any:
 
     Raises
     ------
-    ValueError : no image axes, or a scale that is not a positive number.
+    ValueError : an array without image axes, or a scale that is not a positive number.
 
-    Source: Caligiuri et al. 2024, sec. 4.1.
+    Source: Caligiuri et al. 2024, sec. 4.2.
     """
     xp, z = _phasors(phasor)
     _check_scale(amplitude_scale)
@@ -42,9 +42,23 @@ def network_channels(phasor: Any, amplitude_scale: float) -> Any:
 
 
 def phasors_of_channels(channels: Any, amplitude_scale: float) -> Any:
-    """Inverse of `network_channels`: (..., 1 + 2F, H, W) reals to (..., H, W, F) complex phasors."""
+    """Inverse of `network_channels`.
+
+    Parameters
+    ----------
+    channels : (..., 1 + 2F, H, W) real.
+    amplitude_scale : as given to `network_channels`.
+
+    Returns
+    -------
+    (..., H, W, F) complex.
+
+    Raises
+    ------
+    ValueError : a number of channels that is not 1 + 2F, or a scale that is not a positive number.
+    """
     _, c = _channels(channels)
-    count = c.shape[-1] // 2  # components come in twos
+    count = c.shape[-1] // 2  # F: each frequency has a real and an imaginary part
     if c.shape[-1] < 3 or c.shape[-1] % 2 == 0:
         raise ValueError(f"expected 1 + 2F channels for F frequencies, got {c.shape[-1]}")
     _check_scale(amplitude_scale)
@@ -52,24 +66,24 @@ def phasors_of_channels(channels: Any, amplitude_scale: float) -> Any:
 
 
 def residual_channels(phasor: Any, reference: Any) -> Any:
-    """Channels that hold hidden light alone: [Im r_f (F of them), Re r_f - Re r_0 (F - 1 of them)].
+    """Channels without the direct return: [Im r_f (F of them), Re r_f - Re r_0 (F - 1 of them)].
 
-    r_f = (z_f / reference_f) |reference_0| / |z_0|: every phasor is divided by the relay wall's known direct
-    return, which turns it back by its phase and undoes what the spread of paths within a pixel takes from
-    the amplitude at higher frequencies. The direct part becomes 1 at every frequency, so it drops out of
-    these differences, and the hidden 0.2 % is no longer buried under it. Pixels without light become 0.
+    r_f = (z_f / reference_f) |reference_0| / |z_0|. The division by the relay wall's known direct return
+    removes its phase, and the loss of amplitude at higher frequencies that the different paths within a pixel
+    cause. The direct part of r_f is 1 at every frequency and cancels in the channels; the hidden part, about
+    0.2 % of the signal, remains (docs/design.md, Input channels). Pixels without light are 0.
 
-    *Error.* A wall that stands δ metres from where the reference puts it, along the ray, adds an optical
-    path of 2 δ, and so a phase ε_f = 4π f δ / c: 1 mm makes 0.8, 2.1 and 2.5 mrad at 20, 50 and 60 MHz. To
-    first order Im r_f gains ε_f, as much as the hidden light itself (1-3 mrad), and Re r_f - Re r_0 gains
-    nothing: there ε enters squared, (ε_0² - ε_f²) / 2, 3e-6 for a millimetre, and as hidden light times
-    ε. A wrong gain of the sensor drops out of all of them.
+    *Error.* If the wall is δ metres farther along the ray than in the reference, the optical path is longer
+    by 2 δ, and the phase by ε_f = 4π f δ / c: for 1 mm 0.8, 2.1 and 2.5 mrad at 20, 50 and 60 MHz. To first
+    order, Im r_f changes by ε_f, which is as much as the hidden part itself (1-3 mrad), and Re r_f - Re r_0
+    does not change. Its error is of second order: (ε_0² - ε_f²) / 2, 3e-6 for a millimetre, and the hidden
+    part times ε. A wrong gain of the sensor has no effect on any channel.
 
     Parameters
     ----------
     phasor : (..., H, W, F) complex.
-    reference : (H, W, F) complex, the direct return up to a real factor per pixel (`itof.direct_phasors`,
-        or one capture of the empty corner).
+    reference : (H, W, F) complex, the direct return up to a positive factor per pixel: from
+        `itof.direct_phasors`, or a capture without a hidden object.
 
     Returns
     -------
@@ -77,7 +91,7 @@ def residual_channels(phasor: Any, reference: Any) -> Any:
 
     Raises
     ------
-    ValueError : a reference of another image size or frequency count.
+    ValueError : a reference with another image size or another number of frequencies.
     """
     xp, z = _phasors(phasor)
     known = reference if is_array_api_obj(reference) else np.asarray(reference)
@@ -88,10 +102,10 @@ def residual_channels(phasor: Any, reference: Any) -> Any:
 
 
 def phasors_of_residual(channels: Any, reference: Any, amplitude: Any) -> Any:
-    """Inverse of `residual_channels`, where hidden light is less than the direct return.
+    """Inverse of `residual_channels`, for pixels where the hidden part is smaller than the direct part.
 
-    The channels know every r_f but for the common Re r_0, and |r_0| = 1, so Re r_0 = √(1 - Im² r_0); the
-    sign is that of the direct return. How bright a pixel was must be given.
+    The channels determine every r_f except for the common Re r_0. Since |r_0| = 1, it is √(1 - Im² r_0), with
+    the sign of the direct part. The amplitude is not in the channels and must be given.
 
     Parameters
     ----------
@@ -105,15 +119,15 @@ def phasors_of_residual(channels: Any, reference: Any, amplitude: Any) -> Any:
 
     Raises
     ------
-    ValueError : a number of channels that does not fit the reference.
+    ValueError : a number of channels that does not match the reference.
     """
     xp, c = _channels(channels)
     known = reference if is_array_api_obj(reference) else np.asarray(reference)
     count = known.shape[-1]
-    if c.shape[-1] != 2 * count - 1:  # two components a frequency, less Re r_0
+    if c.shape[-1] != 2 * count - 1:  # two per frequency, without Re r_0
         raise ValueError(
             f"{c.shape[-1]} residual channels do not fit a reference at {count} frequencies: "
-            f"there are {2 * count - 1} of them"  # two components a frequency, less one
+            f"expected {2 * count - 1}"
         )
     imaginary = c[..., :count]  # (..., H, W, F)
     first = xp.sqrt(1 - imaginary[..., :1] ** 2)  # Re r_0, (..., H, W, 1)
@@ -123,7 +137,7 @@ def phasors_of_residual(channels: Any, reference: Any, amplitude: Any) -> Any:
 
 
 def _phasors(phasor: Any) -> tuple[ModuleType, Any]:
-    """Namespace and array of phasors; lists become numpy arrays."""
+    """Array namespace, and the phasors as an array of it; lists become numpy arrays."""
     z = phasor if is_array_api_obj(phasor) else np.asarray(phasor)
     if z.ndim < 3:
         raise ValueError(f"expected phasors of shape (..., H, W, F), got {tuple(z.shape)}")
@@ -131,7 +145,7 @@ def _phasors(phasor: Any) -> tuple[ModuleType, Any]:
 
 
 def _channels(channels: Any) -> tuple[ModuleType, Any]:
-    """Namespace and channels with the channel axis last; numpy's as float64."""
+    """Array namespace, and the channels with the channel axis last; numpy arrays as float64."""
     c = channels if is_array_api_obj(channels) else np.asarray(channels)
     xp = array_namespace(c)
     return xp, xp.moveaxis(c.astype(np.float64) if is_numpy_array(c) else c, -3, -1)
@@ -145,7 +159,7 @@ def _quotient(xp: ModuleType, dividend: Any, divisor: Any) -> Any:
 
 
 def _image_axes_last(xp: ModuleType, parts: list[Any]) -> Any:
-    """(..., C, H, W) float32 of parts (..., H, W, c); numpy's in C order."""
+    """(..., C, H, W) float32 of parts (..., H, W, c); numpy arrays in C order."""
     joined = xp.moveaxis(xp.astype(xp.concat(parts, axis=-1), xp.float32), -1, -3)
     return np.ascontiguousarray(joined) if is_numpy_array(joined) else joined
 

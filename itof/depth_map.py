@@ -20,13 +20,13 @@ DEPTH_CHANNEL, MASK_CHANNEL = "depth.R", "mask.M"
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Where the hidden object is, as a mirror in place of the relay wall would show it.
+    """Depth and mask of the hidden object, as seen in a mirror at the place of the relay wall.
 
     Attributes
     ----------
     radial_depth_m : (..., H, W) metres along the ray of each pixel, 0 on background.
     mask : (..., H, W) bool, True on the hidden object.
-    phasor : (..., H, W) complex at `frequency_hz`; of ground truth with amplitude 1 on the object, 0 elsewhere.
+    phasor : (..., H, W) complex at `frequency_hz`; ground truth has amplitude 1 on the object, else 0.
     frequency_hz : modulation frequency of the phasor, Hz.
 
     Source: Caligiuri et al. 2024, sec. 4.1 (the mirror trick).

@@ -1,4 +1,4 @@
-"""The direct return: what a co-located projector and camera see of a bare diffuse wall."""
+"""The direct return of a diffuse wall that a co-located projector and camera look at."""
 
 from __future__ import annotations
 
@@ -25,26 +25,27 @@ def direct_phasors(
     *,
     subpixels: int = 8,
 ) -> NDArray[np.complex128]:
-    """Phasors of the one-bounce return of an infinite diffuse wall of reflectance 1, pixel averages.
+    """Phasors of the one-bounce return of an infinite diffuse wall of reflectance 1, as means over pixels.
 
-    The projector sits at the camera with the camera's frustum and spreads its flux evenly over its image
-    plane (radiant intensity π / cos³ off the axis), so a wall point at distance r, seen under the angle a
-    to the wall normal and o to the optical axis, has the radiance cos a / (r² cos³ o), and its light has
-    travelled OPL = 2r.
+    The projector has the place and the frustum of the camera, and its flux is uniform over its image plane
+    (radiant intensity π / cos³ o at the angle o to the optical axis). A wall point at distance r, under the
+    angle a to the wall's normal, therefore has the radiance cos a / (r² cos³ o), and the optical path length
+    of its light is 2r.
 
     Parameters
     ----------
     width, height, horizontal_fov_deg : pinhole camera, pixels and degrees.
     frequencies_hz : F modulation frequencies, Hz.
-    camera_axes : (3, 3) rows are the camera's right, down and forward in the world.
-    camera_location_m, wall_point_m, wall_normal : (3,) in the world.
+    camera_axes : (3, 3) the camera's right, down and forward in world space, as rows.
+    camera_location_m, wall_point_m : (3,) in world space, metres.
+    wall_normal : (3,) in world space, of any length and either sign.
     subpixels : a pixel is averaged over subpixels x subpixels midpoints.
 
     Returns
     -------
-    (H, W, F) complex, radiance per unit irradiance scale of the projector; 0 where a ray misses the wall.
+    (H, W, F) complex, radiance for a projector of irradiance 1; 0 where a ray misses the wall.
 
-    Source: derived here; the intensity is that of Mitsuba 3's ``projector``, checked in the tests.
+    Source: derived here. The intensity is that of Mitsuba 3's ``projector``; a test compares the two.
     """
     normal = np.asarray(wall_normal, dtype=np.float64) / np.linalg.norm(wall_normal)
     gap_m = (np.asarray(wall_point_m, dtype=np.float64) - np.asarray(camera_location_m)) @ normal
@@ -60,7 +61,7 @@ def direct_phasors(
             horizontal_fov_deg,
             rows=(first * subpixels, last * subpixels),
         )  # (rows s, W s, 3)
-        towards = rays @ axes @ normal  # cosine to the normal, signed like gap_m where the wall lies ahead
+        towards = rays @ axes @ normal  # cosine to the normal; same sign as gap_m: wall ahead
         ahead = towards * gap_m > 0
         radial_depth_m = np.where(ahead, gap_m / np.where(ahead, towards, 1.0), np.inf)
         radiance = np.abs(towards) / (radial_depth_m**2 * rays[..., 2] ** 3)  # (rows s, W s); 0 at infinity

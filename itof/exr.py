@@ -1,16 +1,16 @@
-"""The one place that knows image files: transients, phasors and depth maps as OpenEXR.
+"""OpenEXR files of transients and of images (phasors, depth maps). Only this module imports OpenEXR.
 
 Layout (docs/files.md has the reasons):
 
-* transient: one FLOAT channel ``transient.Y``; scanline y holds the W pixels of image row y one after the
-  other, each as its T bins in time order, so the file is H scanlines of W·T values and any block of rows
-  can be written or read alone. Attributes ``night.bin_count``, ``night.bin_width_m``, ``night.start_opl_m``.
+* transient: one FLOAT channel ``transient.Y``. Scanline y has the W pixels of image row y in order, each with
+  its T bins in time order. The file has H scanlines of W·T values, and any block of rows can be written or
+  read by itself. Attributes ``night.bin_count``, ``night.bin_width_m``, ``night.start_opl_m``.
 * image: named FLOAT channels of H x W. Phasors are ``<prefix>.<f>MHz.Re`` and ``.Im``.
 
-Both are losslessly compressed (ZIPS: one scanline a block), float32 throughout. Every attribute is text:
-OpenEXR would store a number as float32, and 0.01 would come back as 0.00999999978.
+Both have lossless compression (ZIPS: one scanline per block) and float32 values. Every attribute is text:
+OpenEXR would store a number as float32, and 0.01 would be read as 0.00999999978.
 
-Writers write in place: wrap them in `scenegen.whole_file` where a half-written file would matter.
+Writers write to the final path. Use `scenegen.whole_file` where an incomplete file must not appear.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from itof.measurement import MeasurementMatrix
 
 TRANSIENT_CHANNEL = "transient.Y"
 ATTRIBUTE_PREFIX = "night."
-_AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes without which a file is no transient
+_AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every transient has
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
 _PHASOR_CHANNEL = re.compile(r"^(?P<prefix>\w+)\.(?P<mhz>\d+(?:\.\d+)?)MHz\.(?P<part>Re|Im)$")
-_READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (DESIGN 4.14)
+_READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (docs/design.md, Transient files)
 
 
 class ImageFileError(ValueError):
-    """An image file that is missing, truncated, foreign or not as its layout promises."""
+    """An image file that is missing, damaged, of another program, or against its layout."""
 
 
 @dataclass(frozen=True)
@@ -68,23 +68,23 @@ class TransientLayout:
 
     @property
     def rows_per_block(self) -> int:
-        """Image rows that fit the memory budget of one block."""
+        """Number of image rows in a block of at most 64 MiB; at least 1."""
         return max(1, _READ_BYTES // (4 * self.width * self.bin_count))
 
 
 class TransientWriter:
-    """Writes a transient row block by row block; use as a context manager.
+    """Writes a transient in blocks of image rows; use it as a context manager.
 
     Parameters
     ----------
     path : file to write.
     layout : shape and time axis.
-    attributes : provenance, text by name (names gain the prefix ``night.``).
+    attributes : provenance, text by name; the file's names have the prefix ``night.``.
 
     Raises
     ------
     OSError : the file cannot be written.
-    ValueError : a block of another shape, too many or too few rows.
+    ValueError : a block of the wrong shape, or too many or too few rows.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class TransientWriter:
 
 
 class TransientReader:
-    """Reads a transient in blocks of rows; use as a context manager.
+    """Reads a transient in blocks of image rows; use it as a context manager.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class TransientReader:
 
     Raises
     ------
-    ImageFileError : missing, truncated or foreign file.
+    ImageFileError : the file is missing, damaged, or not a transient.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -144,8 +144,8 @@ class TransientReader:
         missing = [name for name in _AXIS if name not in self.attributes]
         if TRANSIENT_CHANNEL not in header["channels"] or missing:
             raise ImageFileError(
-                f"{path} is an EXR file but no transient: it needs the channel {TRANSIENT_CHANNEL} and the "
-                f"attributes night.bin_count, night.bin_width_m and night.start_opl_m"
+                f"{path} is an EXR file but not a transient: it needs the channel {TRANSIENT_CHANNEL} and "
+                f"the attributes night.bin_count, night.bin_width_m and night.start_opl_m"
             )
         window = header["dataWindow"]
         try:
@@ -158,11 +158,11 @@ class TransientReader:
                 start_opl_m=float(self.attributes["start_opl_m"]),
             )
         except (ValueError, ZeroDivisionError) as error:
-            raise ImageFileError(f"{path} has a time axis that makes no sense: {error}") from None
+            raise ImageFileError(f"{path} has an impossible time axis: {error}") from None
         self._first_row = window.min.y
 
     def read_rows(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Image rows start..stop-1 as (rows, W, T) float32."""
+        """Image rows `start` to `stop` - 1 as (rows, W, T) float32."""
         if not 0 <= start < stop <= self.layout.height:
             raise ValueError(f"rows {start}..{stop} are not within the image's {self.layout.height} rows")
         with _one_sentence(self.path):
@@ -171,15 +171,15 @@ class TransientReader:
         return np.frombuffer(data, np.float32).reshape(stop - start, self.layout.width, self.layout.bin_count)
 
     def row_blocks(self, rows: int | None = None) -> Iterator[NDArray[np.float32]]:
-        """All image rows in order, in blocks of `rows` (by default as many as fit 64 MiB)."""
+        """All image rows in order, as blocks (rows, W, T) float32; by default a block has at most 64 MiB."""
         step = rows or self.layout.rows_per_block
         for start in range(0, self.layout.height, step):
             yield self.read_rows(start, min(start + step, self.layout.height))
 
     def phasors(self, frequencies_hz: Sequence[float]) -> NDArray[np.complex128]:
-        """(H, W, F) iToF phasors Φ x of the whole file, streamed.
+        """(H, W, F) iToF phasors Φ x of the file; only one block of rows is in memory at a time.
 
-        A file whose attribute ``night.splat`` is ``tent`` has the tent's transfer function divided out.
+        If the attribute ``night.splat`` is ``tent``, the phasors are divided by the tent's transfer function.
         """
         axis = self.layout
         phi = MeasurementMatrix(
@@ -208,13 +208,13 @@ class Image:
     attributes: dict[str, str]
 
     def channel(self, name: str) -> NDArray[np.float32]:
-        """One channel; `ImageFileError` names what there is when it is missing."""
+        """(H, W) values of a channel; when it is missing, an `ImageFileError` names the existing ones."""
         if name not in self.channels:
             raise ImageFileError(f"no channel {name} among {', '.join(sorted(self.channels))}")
         return self.channels[name]
 
     def phasors(self, prefix: str = "itof") -> tuple[NDArray[np.complex64], tuple[float, ...]]:
-        """(H, W, F) phasors stored under `prefix`, and their F frequencies in Hz, ascending."""
+        """(H, W, F) phasors whose channels have this prefix, and their F frequencies, Hz, ascending."""
         found = [match for name in self.channels if (match := _PHASOR_CHANNEL.match(name))]
         labels = sorted({m["mhz"] for m in found if m["prefix"] == prefix}, key=float)
         if not labels:
@@ -229,9 +229,9 @@ class Image:
 def phasor_channels(
     phasor: ArrayLike, frequencies_hz: Sequence[float], prefix: str = "itof"
 ) -> dict[str, NDArray[np.float32]]:
-    """Channels ``<prefix>.<f>MHz.Re/Im`` of (H, W, F) phasors, float32.
+    """Channels ``<prefix>.<f>MHz.Re`` and ``.Im`` of (H, W, F) phasors, each (H, W) float32.
 
-    <f> is the frequency's shortest exact decimal with the point moved, so any frequency comes back exactly.
+    <f> is the shortest exact decimal of the frequency in MHz, so that every frequency is read back exactly.
     """
     z = np.asarray(phasor)
     channels: dict[str, NDArray[np.float32]] = {}
@@ -256,7 +256,7 @@ def write_image(
     Raises
     ------
     OSError : the file cannot be written.
-    ValueError : channels of different or non-image shapes.
+    ValueError : channels of different shapes, or not of two dimensions.
     """
     pixels = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in channels.items()}
     shapes = {values.shape for values in pixels.values()}
@@ -275,7 +275,7 @@ def read_image(path: str | os.PathLike[str]) -> Image:
 
     Raises
     ------
-    ImageFileError : missing, truncated or foreign file.
+    ImageFileError : the file is missing, damaged, or not an EXR file.
     """
     path = Path(path)
     with _one_sentence(path):
@@ -296,11 +296,11 @@ def read_image(path: str | os.PathLike[str]) -> Image:
 
 
 def pixel_types(path: str | os.PathLike[str]) -> dict[str, str]:
-    """How each channel of an EXR file is stored: ``FLOAT``, ``HALF`` or ``UINT``.
+    """Number type of each channel of an EXR file, by name: ``FLOAT``, ``HALF`` or ``UINT``.
 
     Raises
     ------
-    ImageFileError : missing or foreign file.
+    ImageFileError : the file is missing or not an EXR file.
     """
     with _one_sentence(Path(path)):
         file = OpenEXR.InputFile(str(path))
@@ -328,7 +328,7 @@ def _attributes(header: Mapping[str, Any]) -> dict[str, str]:
 
 @contextmanager
 def _one_sentence(path: Path) -> Iterator[None]:
-    """Turn OpenEXR's errors into one sentence, and keep its own prints off the terminal."""
+    """Turn OpenEXR's errors into an `ImageFileError` of one sentence, and suppress what it prints."""
     if not path.is_file():
         raise ImageFileError(f"{path} does not exist")
     with tempfile.TemporaryFile() as chatter:

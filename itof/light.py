@@ -1,4 +1,4 @@
-"""How time, optical path length, phase and depth hang together."""
+"""Relations between modulation frequency, optical path length, phase and depth."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def phase_per_metre(frequency_hz: ArrayLike) -> NDArray[np.float64]:
 
 
 def unambiguous_range_m(frequency_hz: ArrayLike) -> NDArray[np.float64]:
-    """Largest depth (half the optical path) before the phase wraps, metres: c / 2f; 7.49 m at 20 MHz."""
+    """Depth (half the optical path) at which the phase wraps, metres: c / 2f; 7.49 m at 20 MHz."""
     return np.pi / phase_per_metre(frequency_hz)
 
 
@@ -39,7 +39,7 @@ def amplitude(phasor: ArrayLike) -> NDArray[np.float64]:
 def phase(phasor: ArrayLike) -> NDArray[np.float64]:
     """phi = atan2(Im z, Re z) in [0, 2π), radians, any shape; 0 where the phasor is 0."""
     wrapped = np.mod(np.angle(np.asarray(phasor, dtype=np.complex128)), 2 * np.pi)
-    # mod(-tiny, 2π) rounds up to 2π itself, which is outside the half-open interval.
+    # mod(-tiny, 2π) is rounded to 2π, which is outside the half-open interval.
     return np.where(wrapped >= 2 * np.pi, 0.0, wrapped)
 
 
@@ -53,6 +53,6 @@ def depth_from_phase(phase_rad: ArrayLike, frequency_hz: ArrayLike) -> NDArray[n
 
 
 def phasor_of_return(radial_depth_m: ArrayLike, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-    """Unit-amplitude phasor of one return from `radial_depth_m`: exp(j 4π f d / c). Inputs broadcast."""
+    """Phasor of amplitude 1 of a single return from depth d: exp(j 4π f d / c). Inputs broadcast."""
     opl_m = 2 * np.asarray(radial_depth_m, dtype=np.float64)  # the optical path goes out and back
     return np.exp(1j * phase_per_metre(frequency_hz) * opl_m)

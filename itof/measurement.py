@@ -17,7 +17,7 @@ Splat = Literal["point", "tent"]
 
 @dataclass(frozen=True)
 class MeasurementMatrix:
-    """Φ for one time axis and one set of frequencies: build once, apply to many pixels.
+    """Φ for one time axis and one set of frequencies; build it once and apply it to many pixels.
 
     Attributes
     ----------
@@ -25,14 +25,14 @@ class MeasurementMatrix:
     bin_count : T, number of time bins.
     bin_width_m : bin width in *optical path length* (out and back), metres.
     start_opl_m : optical path length where the first bin begins, metres.
-    splat : how returns were put into bins. ``point``: nothing is assumed, Φ is exp(j 2π f tau_t) itself.
-        ``tent``: each return was split linearly between the two nearest bin centres, which multiplies the
-        phasor of light spread over bins by sinc²(f w / c); Φ divides that out. At 60 MHz and 1 cm it is
-        1.3e-5 of the total, and that is 1 % of the hidden signal.
+    splat : how returns were put into bins. ``point``: Φ is exp(j 2π f tau_t). ``tent``: each return was split
+        linearly between the two nearest bin centres, which multiplies the phasor of light that is spread over
+        bins by sinc²(f w / c); Φ divides by this factor. At 60 MHz and 1 cm it changes the total by 1.3e-5,
+        which is 1 % of the hidden signal (docs/design.md, Time bins).
 
     Raises
     ------
-    ValueError : no frequency, no bin, a width that is not positive, or a frequency at or above
+    ValueError : no frequencies, no bins, a width that is not positive, or a frequency at or above
         c / (2 bin_width_m), which these bins cannot resolve.
 
     Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); bin centres are our choice.
@@ -49,10 +49,10 @@ class MeasurementMatrix:
             raise ValueError("a measurement needs at least one modulation frequency, got none")
         if self.bin_count < 1 or not self.bin_width_m > 0:
             raise ValueError(
-                f"a time axis needs bins: got {self.bin_count} bins of {self.bin_width_m} m optical path"
+                f"a time axis needs bins of positive width, got {self.bin_count} bins of {self.bin_width_m} m"
             )
         phase_per_metre(self.frequencies_hz)
-        limit_hz = SPEED_OF_LIGHT / (2 * self.bin_width_m)  # Nyquist: two bins to a period, not a path length
+        limit_hz = SPEED_OF_LIGHT / (2 * self.bin_width_m)  # Nyquist: at least two bins a period
         too_fast = [f for f in self.frequencies_hz if f >= limit_hz]
         if too_fast:
             raise ValueError(
@@ -72,16 +72,16 @@ class MeasurementMatrix:
         angle_rad = np.outer(turns, self.bin_centres_m)  # (F, T)
         rows = np.stack([np.cos(angle_rad), np.sin(angle_rad)])  # (2, F, T)
         if self.splat == "tent":
-            # numpy's sinc(x) is sin(pi x) / (pi x), and k w / 2π is the bin width in wavelengths
+            # numpy's sinc(x) is sin(πx) / (πx), and k w / 2π is the bin width in wavelengths
             rows /= np.sinc(turns * self.bin_width_m / (2 * np.pi))[:, None] ** 2
         return rows.reshape(-1, self.bin_count)  # (2F, T)
 
     def apply(self, transient: ArrayLike) -> NDArray[np.complex128]:
-        """Phasors of `transient` (..., T): (..., F) complex, in its unit; summed in float64.
+        """Phasors of `transient` (..., T): (..., F) complex in the same unit, summed in float64.
 
         Raises
         ------
-        ValueError : the last axis has not T entries.
+        ValueError : the last axis does not have T entries.
         """
         x = np.asarray(transient, dtype=np.float64)
         if x.ndim == 0 or x.shape[-1] != self.bin_count:
@@ -91,14 +91,14 @@ class MeasurementMatrix:
     def apply_streaming(self, row_blocks: Iterable[NDArray[np.float32]]) -> NDArray[np.complex128]:
         """Phasors of an image that arrives in blocks of rows, each (rows, W, T): (H, W, F) complex.
 
-        Only one block is held in memory at a time, so a QVGA x 2000 cube never has to be.
+        Only one block is in memory at a time.
         """
         return np.concatenate(list(self._apply_each(row_blocks)), axis=0)
 
     def _apply_each(self, row_blocks: Iterable[NDArray[np.float32]]) -> Iterator[NDArray[np.complex128]]:
         rows = self.rows.T
         for block in row_blocks:
-            # One image row at a time in float64: a block's copy in double precision would double its memory.
+            # One image row at a time is converted: a float64 copy of a block would need twice its memory.
             yield join_components(np.stack([row.astype(np.float64) @ rows for row in block]))
 
 

@@ -1,4 +1,4 @@
-"""Rays of a pinhole camera, and radial against z depth."""
+"""Rays of a pinhole camera; conversion between radial depth and z-depth."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 def pixel_rays(
     width: int, height: int, horizontal_fov_deg: float, *, rows: tuple[int, int] | None = None
 ) -> NDArray[np.float64]:
-    """Unit directions through the pixel centres, in camera axes: x right, y down, z forward.
+    """Unit vectors through the pixel centres in camera axes: x right, y down, z forward.
 
     Parameters
     ----------
     width, height : image size, pixels (square pixels).
     horizontal_fov_deg : full horizontal field of view, degrees, between 0 and 180.
-    rows : only the image rows first..last-1; all by default.
+    rows : (first, last) for the image rows first to last - 1; None for all rows.
 
     Returns
     -------
@@ -23,29 +23,30 @@ def pixel_rays(
 
     Raises
     ------
-    ValueError : an empty image, or a field of view that is not between 0 and 180 degrees.
+    ValueError : an image without pixels, or a field of view that is not between 0 and 180 degrees.
     """
     if width < 1 or height < 1 or not 0 < horizontal_fov_deg < 180:
         raise ValueError(
-            f"no such pinhole camera: {width} x {height} pixels, {horizontal_fov_deg} degrees field of view"
+            "a pinhole camera has at least one pixel and a field of view between 0 and 180 degrees, "
+            f"got {width} x {height} pixels and {horizontal_fov_deg} degrees"
         )
-    half_width = np.tan(np.radians(horizontal_fov_deg) / 2)  # half a field of view, not a path length
-    pixel = 2 * half_width / width  # pixel pitch at unit z, not a path length
+    half_width = np.tan(np.radians(horizontal_fov_deg) / 2)
+    pixel = 2 * half_width / width  # pixel pitch at z = 1
     x = (np.arange(width) + 0.5) * pixel - half_width  # (W,)
     row = np.arange(*(rows or (0, height)))
-    y = (row + 0.5 - height / 2) * pixel  # (H,), centred rows, not a path length
+    y = (row + 0.5 - height / 2) * pixel  # (H,)
     rays = np.stack([*np.meshgrid(x, y), np.ones((len(y), width))], axis=-1)  # (H, W, 3)
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def z_from_radial(radial_depth_m: ArrayLike, horizontal_fov_deg: float) -> NDArray[np.float64]:
-    """z-depth (along the optical axis) of (..., H, W) radial depth (along the ray), metres."""
+    """(..., H, W) z-depth (along the optical axis) of radial depth (along the ray), metres."""
     depth_m = np.asarray(radial_depth_m, dtype=np.float64)
     return depth_m * _cosine_to_axis(depth_m.shape, horizontal_fov_deg)
 
 
 def radial_from_z(z_depth_m: ArrayLike, horizontal_fov_deg: float) -> NDArray[np.float64]:
-    """Radial depth (along the ray) of (..., H, W) z-depth (along the optical axis), metres."""
+    """(..., H, W) radial depth (along the ray) of z-depth (along the optical axis), metres."""
     depth_m = np.asarray(z_depth_m, dtype=np.float64)
     return depth_m / _cosine_to_axis(depth_m.shape, horizontal_fov_deg)
 

@@ -1,4 +1,4 @@
-"""Depth from the phases at several frequencies, beyond the range of each alone."""
+"""Depth from the phases at several frequencies, beyond the unambiguous range of each frequency."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from itof.light import phase_per_metre, unambiguous_range_m
 
-DEFAULT_LIMIT_M = 100.0  # radial depth; farther than any iToF camera sees
+DEFAULT_LIMIT_M = 100.0  # radial depth; more than the range of any iToF camera
 
 
 def combined_range_m(frequencies_hz: Sequence[float]) -> float:
-    """Unambiguous range of all frequencies together, metres: c / (2 gcd); 14.99 m for 20, 50, 60 MHz."""
-    phase_per_metre(frequencies_hz)  # refuses what is no frequency
+    """Unambiguous depth of all frequencies together, metres: c / (2 gcd); 14.99 m for 20, 50, 60 MHz."""
+    phase_per_metre(frequencies_hz)  # raises ValueError for values that are not frequencies
     base = Fraction(round(frequencies_hz[0]))
     for frequency_hz in frequencies_hz[1:]:
         other = Fraction(round(frequency_hz))
@@ -27,23 +27,24 @@ def combined_range_m(frequencies_hz: Sequence[float]) -> float:
 def unwrap_depth(
     phase_rad: ArrayLike, frequencies_hz: Sequence[float], max_radial_depth_m: float | None = None
 ) -> NDArray[np.float64]:
-    """Radial depth that explains the wrapped phases at all frequencies best.
+    """Radial depth that fits the wrapped phases at all frequencies best.
 
-    Every whole number of turns of the highest frequency is tried; each candidate depth predicts the wrap
-    counts of the other frequencies, the least-squares depth under those counts follows in closed form
-    (weights f²: phase noise alike at every frequency), and the candidate with the smallest phase residual
-    wins.
+    Every whole number of turns of the highest frequency gives a candidate depth. Each candidate predicts the
+    numbers of turns of the other frequencies. With these numbers, the least-squares depth follows in closed
+    form (weights f²: the same phase noise at every frequency). The candidate with the smallest phase residual
+    is taken.
 
     Parameters
     ----------
-    phase_rad : (..., F) phases, radians; any multiple of 2π off is the same phase.
+    phase_rad : (..., F) phases, radians, modulo 2π.
     frequencies_hz : F modulation frequencies, Hz.
-    max_radial_depth_m : search limit, metres; by default the range of all frequencies together, but 100 m at
-        most: nearly coprime frequencies repeat only after millions of metres, and the work grows with it.
+    max_radial_depth_m : search limit, metres. The default is the unambiguous depth of all frequencies
+        together, but at most 100 m: frequencies without a large common divisor repeat only after millions of
+        metres, and the work is proportional to the limit.
 
     Returns
     -------
-    (...) float64 radial depth, metres, of one return per pixel.
+    (...) float64 radial depth, metres, of a single return per pixel.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def unwrap_depth(
         unwrapped = phi + 2 * np.pi * wraps  # (..., F)
         depth_m = (unwrapped * slope).sum(-1) / (slope**2).sum()  # least squares of unwrapped = slope * depth
         cost = ((unwrapped - depth_m[..., None] * slope) ** 2).sum(-1)
-        # The small margin keeps the nearer of two equal candidates, whatever the rounding.
+        # The margin makes the nearer of two equal candidates win in spite of rounding.
         better = (cost < best_cost - 1e-12) & (candidate_m < limit_m)
         best_depth_m = np.where(better, depth_m, best_depth_m)
         best_cost = np.where(better, cost, best_cost)

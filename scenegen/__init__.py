@@ -1,6 +1,7 @@
-"""What a scene and a dataset folder are, as plain data, and the one file that makes them in Blender.
+"""Scenes, presets and dataset folders as plain data, and the code that makes them.
 
-`scenegen.making.blender` is not imported here: it needs `bpy`, and only ``night-gen`` does.
+Imports neither `itof` nor `render` nor `model`. `scenegen.files` has files that are complete or absent.
+`scenegen.making` makes scenes in Blender; only ``night-gen`` needs it, and it is not imported here.
 """
 
 from scenegen.chatter import silenced
@@ -25,9 +26,9 @@ from scenegen.render_folder import (
     IMAGE_FILES,
     MEASUREMENT_FILE,
     MIRRORED_TRANSIENT_FILE,
+    RECORD_FILE,
     TRANSIENT_FILE,
     TRANSIENT_FILES,
-    RECORD_FILE,
     FailureRecord,
     FileRecord,
     RenderRecord,
@@ -51,10 +52,10 @@ __all__ = [
     "IMAGE_FILES",
     "MEASUREMENT_FILE",
     "MIRRORED_TRANSIENT_FILE",
-    "TRANSIENT_FILE",
-    "TRANSIENT_FILES",
     "RECORD_FILE",
     "RENDERING_FILE",
+    "TRANSIENT_FILE",
+    "TRANSIENT_FILES",
     "Camera",
     "ContractError",
     "Dataset",

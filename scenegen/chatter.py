@@ -1,4 +1,4 @@
-"""Keeping the prints of C libraries off the terminal, where Python's redirections do not reach."""
+"""Suppresses what C libraries print; Python's own redirections do not affect them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def silenced(descriptor: int) -> Iterator[None]:
-    """Send what is written to file descriptor 1 (stdout) or 2 (stderr) to nowhere, for a while.
+    """Discard everything that is written to a file descriptor: 1 (stdout) or 2 (stderr).
 
-    Python's own output before and after is kept; threads that print meanwhile are silenced as well.
+    Python's output before and after is kept. Output of other threads in the meantime is discarded, too.
     """
     libc = ctypes.CDLL(None)
     sys.stdout.flush()

@@ -1,7 +1,7 @@
-"""The dataset folder: a contract between all stages.
+"""The dataset folder, through which all stages exchange their files (docs/files.md).
 
-``dataset.json``, ``scenes/<id>/{scene.json,scene.xml,mirrored.xml,*.ply}``, ``renders/<id>/...``,
-``shards/...``; ids are zero-padded indices.
+It contains ``dataset.json``, ``scenes/<id>/{scene.json,scene.xml,mirrored.xml,*.ply}``, ``renders/<id>/...``
+and ``shards/...``; ids are zero-padded indices.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class DatasetError(NightError):
 
 @dataclass(frozen=True, config=STRICT)
 class SceneEntry:
-    """One line of the scene list."""
+    """Id, class and split of one scene."""
 
     id: str
     object_class: str
@@ -44,11 +44,17 @@ class SceneEntry:
 
 @dataclass(frozen=True, config=STRICT)
 class DatasetIndex:
-    """Contents of ``dataset.json``: what was asked for, by what it was made, and the scene list.
+    """Contents of ``dataset.json``.
 
-    `packages` are the versions of the programs that made the scenes, `meshes` the SHA-256 of the mesh files
-    a preset names. `rendering` is what datasets up to schema 2 say of their renders; it is not
-    written any more.
+    Attributes
+    ----------
+    generator, generator_version, blender_version : the programs that made the scenes.
+    seed : seed of the dataset.
+    preset : all settings, as resolved when the dataset was made.
+    scenes : the scene list.
+    packages : versions of the packages that the scenes' bytes depend on, by name.
+    meshes : SHA-256 of the mesh files that the preset names, by shape.
+    rendering : only in datasets up to schema 2, read but not written; see `scenegen.rendering_record`.
     """
 
     generator: str
@@ -72,35 +78,38 @@ class Dataset:
 
     @property
     def preset(self) -> Preset:
-        """The preset as it was resolved when the dataset was made."""
+        """All settings of the dataset, as resolved when it was made."""
         return self.index.preset
 
     @property
     def rendering(self) -> RenderingRecord | None:
-        """How the dataset was rendered, read now; None when it was not.
+        """How the dataset was rendered; None when it has not been rendered. The file is read at every call.
 
         Raises
         ------
-        ContractError : ``renders/rendering.json`` is damaged.
+        DatasetError : ``renders/rendering.json`` is damaged.
         """
-        return read_rendering_record(self.renders) or self.index.rendering
+        try:
+            return read_rendering_record(self.renders) or self.index.rendering
+        except ContractError as error:
+            raise DatasetError(str(error)) from None
 
     @property
     def renders(self) -> Path:
-        """Folder of all that was rendered."""
+        """Folder of all renders."""
         return self.root / "renders"
 
     def ids(self, split: Split | None = None) -> list[str]:
-        """Scene ids in order, of one split or of all."""
+        """Scene ids in ascending order, of one split or of all scenes."""
         return [entry.id for entry in self.index.scenes if split in (None, entry.split)]
 
     def sentence(self) -> str:
-        """How many scenes there are in each split, for people to read."""
+        """Number of scenes in each split, as a sentence."""
         parts = [f"{len(self.ids(split))} {split}" for split in get_args(Split)]
         return f"{len(self.ids())} scenes in {self.root}: {', '.join(parts)}"
 
     def entry(self, scene: str) -> SceneEntry:
-        """Class and split of a scene; `DatasetError` when there is no such scene."""
+        """Class and split of a scene; `DatasetError` when the dataset does not have it."""
         if scene in self._entries:
             return self._entries[scene]
         raise DatasetError(
@@ -117,7 +126,7 @@ class Dataset:
         return self.root / "scenes" / scene
 
     def render_folder(self, scene: str) -> Path:
-        """Folder of what was rendered of a scene."""
+        """Folder of a scene's renders."""
         return self.renders / scene
 
     @property
@@ -147,7 +156,7 @@ def build_index(
     *,
     meshes: Mapping[str, str] = MappingProxyType({}),
 ) -> DatasetIndex:
-    """The index of `scenes`, made from `preset` and from the `meshes` (shape to SHA-256) that it names."""
+    """The index of `scenes`; `meshes` has the SHA-256 of the mesh files that `preset` names, by shape."""
     return DatasetIndex(
         generator="night-gen",
         generator_version=version("night-nlos"),
@@ -163,7 +172,7 @@ def build_index(
 
 
 def write_index(root: Path, index: DatasetIndex) -> None:
-    """Write ``dataset.json``, whole or not at all."""
+    """Write ``dataset.json``, complete or not at all."""
     write_text(root / "dataset.json", TypeAdapter(DatasetIndex).dump_json(index, indent=2).decode() + "\n")
 
 
@@ -172,8 +181,8 @@ def open_dataset(root: Path) -> Dataset:
 
     Raises
     ------
-    DatasetError : no such folder, not a dataset, one of another schema, or a ``dataset.json`` that breaks its
-        contract; the message names the key.
+    DatasetError : the folder is missing, is not a dataset, or has another schema, or its ``dataset.json`` is
+        damaged; the message names the key.
     """
     file = root / "dataset.json"
     if not root.is_dir():
@@ -183,7 +192,7 @@ def open_dataset(root: Path) -> Dataset:
         data = json.loads(text)
     except FileNotFoundError:
         raise DatasetError(
-            f"{root} is no NIGHT dataset (it has no dataset.json): make one with night-gen scenes"
+            f"{root} is not a NIGHT dataset (it has no dataset.json): make one with night-gen scenes"
         ) from None
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise DatasetError(f"{file} cannot be read as JSON: {error}") from None

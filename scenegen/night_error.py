@@ -1,10 +1,9 @@
-"""The one base class of what NIGHT refuses."""
+"""The base class of all errors that the user can correct."""
 
 
 class NightError(ValueError):
-    """What was asked for cannot be done, for a reason that the user can change.
+    """A request that cannot be fulfilled, for a reason that the user can correct.
 
     The message is one sentence: what is wrong, where, and what to do. The commands print it and end with exit
-    code 2; every other exception that reaches them is a defect of NIGHT. `itof` imports no sibling and has an
-    error of its own for this, `itof.ImageFileError`.
+    code 2. `itof` imports no other package of NIGHT; its own class for this purpose is `itof.ImageFileError`.
     """

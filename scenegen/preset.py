@@ -45,13 +45,16 @@ DegreeRange = Annotated[tuple[Degrees, Degrees], AfterValidator(_ascending)]
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(set(values)) != len(values):
-        raise ValueError("the same entry stands twice in the list")
+        raise ValueError("an entry occurs twice in the list")
     return values
 
 
 @dataclass(frozen=True, config=STRICT)
 class DatasetSettings:
-    """How many scenes, from which seed, split how (fractions of all, and of what remains)."""
+    """Number of scenes, random seed, and split into train, validation and test.
+
+    `test_fraction` is a fraction of all scenes, `validation_fraction` of the scenes that are not for testing.
+    """
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1344  # ids have six digits
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
@@ -61,7 +64,7 @@ class DatasetSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class LocationRanges:
-    """Where the hidden object's centre may lie, metres, per world axis."""
+    """Range of the hidden object's centre along each world axis, metres."""
 
     x: MetreRange = (1.0, 1.3)
     y: MetreRange = (0.5, 1.3)
@@ -70,7 +73,7 @@ class LocationRanges:
 
 @dataclass(frozen=True, config=STRICT)
 class RotationRanges:
-    """XYZ Euler angles of the hidden object, degrees."""
+    """Ranges of the hidden object's XYZ Euler angles, degrees."""
 
     x: DegreeRange = (-90.0, 90.0)
     y: DegreeRange = (-90.0, 90.0)
@@ -79,10 +82,11 @@ class RotationRanges:
 
 @dataclass(frozen=True, config=STRICT)
 class ShapeSizes:
-    """Extents of each primitive along its own axes, metres; of a mesh, the box that its longest side fills.
+    """Extents of each primitive along its own axes, and the longest side of every mesh; metres.
 
-    The paper gives only a 0.5 m box; these sizes give its background/object pixel ratio (DESIGN 4.10).
-    The concave plane is an arc of radius 0.35 m over ±1 rad, 0.6 m high: sagitta, chord, height.
+    The paper gives only a box of 0.5 m. With these sizes, the ratio of background to object pixels is that
+    of the paper (docs/design.md, Primitive sizes). The extents of the concave plane are sagitta, chord and
+    height of an arc of radius 0.35 m over ±1 rad, 0.6 m high.
     """
 
     cube: Extent = (0.5, 0.5, 0.5)
@@ -94,7 +98,7 @@ class ShapeSizes:
     mesh: Length = 0.5
 
     def of(self, shape: Shape) -> Extent:
-        """Extents of one primitive, or three times the edge of a mesh's box, metres."""
+        """Extents of a primitive along x, y and z, metres; for a mesh, its longest side three times."""
         if shape.startswith(MESH_PREFIX):
             return (self.mesh, self.mesh, self.mesh)
         size: Extent = getattr(self, shape)
@@ -103,7 +107,11 @@ class ShapeSizes:
 
 @dataclass(frozen=True, config=STRICT)
 class HiddenObjectSettings:
-    """What hides behind the corner, and where."""
+    """Shapes, places, rotations and reflectance of the hidden objects.
+
+    The fraction `composite_fraction` of the scenes has two different shapes; the second one is displaced by
+    `composite_offset_m` (per axis) and turned by `composite_rotation_deg` (per angle) against the first.
+    """
 
     shapes: Annotated[tuple[Shape, ...], Field(min_length=1), AfterValidator(_distinct)] = PRIMITIVES
     composite_fraction: Fraction = 0.142857
@@ -117,7 +125,11 @@ class HiddenObjectSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class RelayWallSettings:
-    """The wall everybody sees: a plane that faces +z before it is turned, size along its own x and y."""
+    """The wall that camera and hidden object both see.
+
+    Before its rotation it faces +z; `size_m` is along its own x and y. Each scene draws one value of
+    `roughness` (alpha of Mitsuba's ``roughplastic``); a ``diffuse`` wall has none.
+    """
 
     material: Material = "rough"
     roughness: Annotated[tuple[Roughness, ...], Field(min_length=1), AfterValidator(_distinct)] = (
@@ -132,7 +144,7 @@ class RelayWallSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class MiddleWallSettings:
-    """The black wall that hides the object from the camera."""
+    """The black wall that hides the object from the camera; geometry as of `RelayWallSettings`."""
 
     size_m: tuple[Length, Length] = (3.3, 4.0)
     location_m: Location = (2.35, 0.0, 2.0)
@@ -141,7 +153,10 @@ class MiddleWallSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class CameraSettings:
-    """Detector and, at the same place with the same frustum, the projector (Blender camera axes)."""
+    """The camera: image size in pixels, field of view, and pose (Blender: it looks along its own -z).
+
+    The projector has the same pose and the same frustum.
+    """
 
     width: Annotated[int, Field(ge=1, le=100_000)] = 320
     height: Annotated[int, Field(ge=1, le=100_000)] = 240
@@ -152,7 +167,10 @@ class CameraSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class TransientSettings:
-    """Time axis in optical path length, and how many surfaces light may meet."""
+    """Time axis, and the number of surfaces that light may meet (`max_bounces`).
+
+    Bin width and start are optical path lengths (out and back), metres.
+    """
 
     bin_count: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
     bin_width_m: Length = 0.01
@@ -175,7 +193,7 @@ class ItofSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class Preset:
-    """All settings of a dataset; every key has the paper's value as default."""
+    """All settings of a dataset. The default of every key is the paper's value."""
 
     dataset: DatasetSettings = DatasetSettings()
     hidden_object: HiddenObjectSettings = HiddenObjectSettings()
@@ -197,7 +215,7 @@ class Preset:
                 f"camera.width times transient.bin_count must stay below {MAX_SCANLINE_VALUES}, the longest "
                 f"scanline of an EXR file: got {width} times {bins}"
             )
-        limit_hz = speed_of_light / (2 * self.transient.bin_width_m)  # Nyquist: two bins to a period
+        limit_hz = speed_of_light / (2 * self.transient.bin_width_m)  # Nyquist: at least two bins a period
         fastest_hz = max(self.itof.frequencies_hz)
         if fastest_hz >= limit_hz:
             raise ValueError(
@@ -208,21 +226,21 @@ class Preset:
 
 
 def preset_from_dict(data: dict[str, Any], origin: str) -> Preset:
-    """Check plain data against the contract; `origin` names the file in the error.
+    """Check plain data; `origin` names the file in the message of an error.
 
     Raises
     ------
-    PresetError : an unknown key, a wrong type or an impossible value, by name.
+    PresetError : an unknown key, a wrong type or an impossible value; the message names the key.
     """
     preset: Preset = checked(TypeAdapter(Preset), json.dumps(data, default=str), origin, PresetError)
     return preset
 
 
 def load_preset(name_or_file: str) -> Preset:
-    """Preset by name (``paper``, ``demo``, ... from data/presets) or from a TOML file.
+    """Read a preset by its name in data/presets (``paper``, ``demo``, ...) or from a TOML file.
 
     Raises
     ------
-    PresetError : no such preset, not TOML, or against the contract.
+    PresetError : there is no such preset, it is not TOML, or `preset_from_dict` refuses it.
     """
     return preset_from_dict(*read_settings("presets", name_or_file))

@@ -47,12 +47,12 @@ class RenderingRecord:
 
 
 def read_rendering_record(renders: Path) -> RenderingRecord | None:
-    """The record in a folder of renders; None when there is none.
+    """Read the record in a folder of renders; None when there is none.
 
     Raises
     ------
-    ContractError : the file is damaged or against the contract, by key.
-    OSError : it cannot be read.
+    ContractError : the file is damaged; the message names the key.
+    OSError : the file cannot be read.
     """
     file = renders / RENDERING_FILE
     if not file.exists():
@@ -62,6 +62,6 @@ def read_rendering_record(renders: Path) -> RenderingRecord | None:
 
 
 def write_rendering_record(renders: Path, record: RenderingRecord) -> None:
-    """Write ``rendering.json``, whole or not at all."""
+    """Write ``rendering.json``, complete or not at all."""
     text = TypeAdapter(RenderingRecord).dump_json(record, indent=2).decode()
     write_text(renders / RENDERING_FILE, text + "\n")

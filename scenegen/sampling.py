@@ -1,4 +1,4 @@
-"""Which scenes a dataset holds: each drawn from (dataset seed, scene index) alone."""
+"""Random scenes. A scene depends only on the preset, the dataset's seed and the scene's index."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class SamplingError(NightError):
 
 
 def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
-    """Draw scene `index`; `attempt` counts earlier draws that the geometry refused.
+    """Draw scene `index`; `attempt` is the number of earlier draws that the geometry check refused.
 
-    The random stream is seeded with (dataset seed, index, attempt), so a scene depends neither on how many
-    others are made nor on the order of work.
+    The random stream is seeded with (dataset seed, index, attempt). A scene therefore depends neither on the
+    number of scenes nor on the order of work.
     """
     rng = np.random.default_rng([preset.dataset.seed, index, attempt])
     object_class, split = class_and_split(preset, index)
@@ -67,11 +67,15 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
 
 
 def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], str | None]) -> Scene:
-    """First draw of scene `index` that `refusal` (None, or why not) has nothing against.
+    """The first draw of scene `index` that is possible.
+
+    Parameters
+    ----------
+    refusal : returns None for a possible scene, else the reason.
 
     Raises
     ------
-    SamplingError : none of 1000 draws fits; the preset's ranges leave no room.
+    SamplingError : none of 1000 draws is possible; the preset's ranges leave no room.
     """
     reason = ""
     for attempt in range(MAX_ATTEMPTS):
@@ -87,11 +91,12 @@ def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], st
 
 
 def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
-    """Object class and split of scene `index`, in exact proportion over any run of scenes from 0.
+    """Object class and split of scene `index`; the first n scenes have the exact proportions, for every n.
 
-    Composites are spread evenly; the other classes take turns. Within each class, its members are dealt
-    out to the splits evenly, each class starting at another point of the cycle, which makes the totals
-    exact too (Hermite's identity): 269 test, 215 validation, 860 training scenes of the paper's 1344.
+    Composites are distributed evenly over the scenes; the other classes take turns. The scenes of each
+    class are distributed evenly over the splits, and each class starts at another point of the cycle. This
+    makes the totals exact, too (Hermite's identity): of the paper's 1344 scenes, 860 are for training, 215
+    for validation and 269 for testing.
     """
     settings = preset.dataset
     fraction = preset.hidden_object.composite_fraction
@@ -108,10 +113,10 @@ def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
 
 
 def leaks(scenes: Iterable[Scene]) -> list[str]:
-    """Test scenes that share an object location or orientation with another split, as sentences.
+    """One sentence for each test scene that shares an object's location or orientation with another split.
 
-    The paper's rule: no object of the train set appears in the test set at the same location or
-    orientation; a leak-free dataset gives an empty list.
+    The paper's rule is: no object of the train set appears in the test set at the same location or
+    orientation. The list is empty where the rule holds.
     """
     places = [
         (
@@ -142,15 +147,15 @@ def _split_of_member(member: int, start: float, test_fraction: float, validation
     if _dealt(member + 1, test_fraction, start) > tests_before:
         return "test"
     remaining = member - tests_before
-    # The second deal starts elsewhere in the cycle, so that no class comes short in both.
+    # Another starting point than for the test split: otherwise a class could get too few of both.
     start = (start + 0.75) % 1
     validations_before = _dealt(remaining, validation_fraction, start)
     return "validation" if _dealt(remaining + 1, validation_fraction, start) > validations_before else "train"
 
 
 def _dealt(count: int, fraction: float, start: float) -> int:
-    """How many of the first `count` items an even dealer has picked out."""
-    # The margin keeps 0.2 * 5 = 1.0 on the right side of rounding.
+    """How many of the first `count` items are selected when `fraction` of all is selected evenly."""
+    # The margin makes 0.2 * 5 count as 1.0 in spite of rounding.
     return floor(count * fraction + start + 1e-9)
 
 
@@ -184,7 +189,7 @@ def _sample_second(preset: Preset, first: HiddenObject, rng: np.random.Generator
 
 
 def _uniform(rng: np.random.Generator, ranges: Sequence[tuple[float, float]]) -> Vector:
-    # random() rather than uniform(): numpy keeps its stream the same between versions.
+    # random() instead of uniform(): its stream is the same in all versions of numpy.
     x, y, z = (low + (high - low) * float(rng.random()) for low, high in ranges)
     return (x, y, z)
 

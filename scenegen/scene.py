@@ -1,4 +1,4 @@
-"""A scene as plain data: what is in it, where it is, and where it came from."""
+"""A scene as plain data: its objects, their places, its split, and the seed that it was drawn from."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ Split = Literal["train", "validation", "test"]
 
 @dataclass(frozen=True, config=STRICT)
 class HiddenObject:
-    """One primitive or mesh: what it is, where its centre is, XYZ Euler angles in degrees.
+    """One primitive or mesh: shape, extents, centre in metres, and XYZ Euler angles in degrees.
 
-    `size_m` are a primitive's extents along its own axes. Of a mesh (shape ``mesh:FILE``) it is the cube
-    that the longest side of the mesh's own bounding box fills; the mesh keeps its proportions.
+    `size_m` is a primitive's extents along its own axes. For a mesh (shape ``mesh:FILE``) all three values
+    are the length of the longest side of its bounding box; the mesh keeps its proportions.
     """
 
     shape: Shape
@@ -41,7 +41,7 @@ class HiddenObject:
 
 @dataclass(frozen=True, config=STRICT)
 class Wall:
-    """A rectangle that faces +z before it is turned; size along its own x and y."""
+    """A rectangle that faces +z before its rotation. `size_m` is along its own x and y."""
 
     size_m: tuple[Positive, Positive]
     location_m: Vector
@@ -50,19 +50,22 @@ class Wall:
 
 @dataclass(frozen=True, config=STRICT)
 class RelayWall(Wall):
-    """The wall that camera and hidden object both see; `roughness` is None for a diffuse wall."""
+    """The wall that camera and hidden object both see. `roughness` is None for a diffuse wall."""
 
     material: Material
     reflectance: Reflectance
     roughness: Roughness | None
 
 
-Camera = CameraSettings  # a scene's camera is the one that its preset sets
+Camera = CameraSettings  # every scene has the camera of its preset
 
 
 @dataclass(frozen=True, config=STRICT)
 class Emitter:
-    """Projector with uniform flux over its image plane: radiant intensity π irradiance / cos³ (off-axis)."""
+    """A projector whose flux is uniform over its image plane.
+
+    Its radiant intensity at the angle o to the optical axis is π irradiance / cos³ o.
+    """
 
     horizontal_fov_deg: FieldOfView
     location_m: Vector
@@ -76,11 +79,12 @@ class Scene:
 
     Attributes
     ----------
-    index : place in the dataset; with `dataset_seed` it fixes all that follows.
-    attempt : how many samples were rejected by the geometry check before this one.
+    index : position in the dataset; index and `dataset_seed` determine everything else.
+    attempt : number of samples that the geometry check rejected before this one.
     seed : seed of the scene's rendering.
     object_class : a shape, or ``composite``.
     split : train, validation or test.
+    max_bounces : number of surfaces that light may meet.
     """
 
     index: Annotated[int, Field(ge=0)]
@@ -99,21 +103,26 @@ class Scene:
 
     @property
     def id(self) -> str:
-        """Name of the scene's folders: the zero-padded index."""
+        """Name of the scene's folders: see `scene_id`."""
         return scene_id(self.index)
 
 
 def scene_id(index: int) -> str:
-    """Zero-padded index; six digits, so that a dataset can grow without renaming."""
+    """Index with six digits, so that a dataset can grow without renaming."""
     return f"{index:06d}"
 
 
 def scene_to_json(scene: Scene) -> str:
-    """``scene.json`` text."""
+    """Text of a ``scene.json``."""
     return TypeAdapter(Scene).dump_json(scene, indent=2).decode() + "\n"
 
 
 def scene_from_json(text: str, origin: str) -> Scene:
-    """Scene from the text of a ``scene.json``; `ContractError` names what is wrong and `origin`."""
+    """Scene from the text of a ``scene.json``; `origin` names the file in the message of an error.
+
+    Raises
+    ------
+    ContractError : not JSON, an unknown or missing key, or an impossible value; the message names the key.
+    """
     scene: Scene = checked(TypeAdapter(Scene), text, origin)
     return scene

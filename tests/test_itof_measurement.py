@@ -20,6 +20,10 @@ from itof import (
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
 
 
+def test_the_speed_of_light_is_the_exact_value_of_the_si():
+    assert SPEED_OF_LIGHT == 299_792_458.0
+
+
 def test_a_return_at_a_bin_centre_gives_its_phasor_exactly():
     transient = np.zeros((2, 3, 500), np.float32)
     transient[1, 2, 137] = 0.25

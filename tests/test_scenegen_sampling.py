@@ -178,6 +178,17 @@ def test_a_preset_against_the_contract_is_refused_by_name(data, words):
         preset_from_dict(data, "my.toml")
 
 
+def test_a_frequency_is_refused_from_exactly_half_the_speed_of_light_over_the_bin_width():
+    def preset_with(frequency_hz):
+        return preset_from_dict(
+            {"transient": {"bin_width_m": 0.5}, "itof": {"frequencies_hz": [frequency_hz]}}, "my.toml"
+        )
+
+    assert preset_with(np.nextafter(299_792_458.0, 0)).itof.frequencies_hz[0] < 299_792_458.0
+    with pytest.raises(PresetError, match="must stay below"):
+        preset_with(299_792_458.0)
+
+
 def test_a_missing_preset_names_those_there_are():
     with pytest.raises(PresetError, match=r"no preset nowhere.*demo.*paper"):
         load_preset("nowhere")

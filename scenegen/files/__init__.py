@@ -1,1 +1,1 @@
-"""Files that are whole or not there, and their hashes. Imports nothing else of `scenegen`."""
+"""Files that are complete or absent, and their hashes. Imports nothing else of `scenegen`."""

@@ -1,7 +1,7 @@
-"""SHA-256 of many files, remembered by size and time of change as git's index does.
+"""SHA-256 of many files, cached by size and time of change, as in git's index.
 
-Hashing a dataset of transients takes hours, looking at its files seconds. What is remembered is a
-convenience: losing it costs time, and `night-render --verify` never believes it.
+Hashing a dataset of transients takes hours; reading the sizes and times of its files takes seconds. The cache
+may be deleted at any time, which only costs time. ``night-render verify`` does not use it.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from pathlib import Path
 from scenegen.files.whole_files import write_text
 
 HASHES_FILE = ".hashes.json"
-_RACY_NS = 2_000_000_000  # a file changed this lately may change again within its clock's resolution
+_RACY_NS = 2_000_000_000  # a file that is younger may change again without a new time of change
 
 
 def sha256_of(file: Path) -> str:
-    """SHA-256 of a file's bytes, read now; `OSError` when it cannot be read."""
+    """SHA-256 of a file's bytes as hexadecimal text; `OSError` when the file cannot be read."""
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 class FileHashes:
-    """Hashes of the files under `root`, remembered in ``root/.hashes.json``.
+    """Hashes of the files under `root`, cached in ``root/.hashes.json``.
 
-    Threads may share one; two processes may use one folder: the last to `save` wins, which costs time only.
+    Several threads may share one object. Several processes may use one folder: the last `save` replaces the
+    others, which only costs time.
     """
 
     def __init__(self, root: Path) -> None:
@@ -35,7 +36,7 @@ class FileHashes:
         self._changed = False
 
     def sha256(self, file: Path) -> str:
-        """SHA-256 of a file under `root`, read only when it changed since the last time; else `OSError`."""
+        """SHA-256 of a file under `root`; it is read only if it has changed. `OSError` when that fails."""
         state = file.stat()
         name = file.relative_to(self.root).as_posix()
         stamp = [state.st_size, state.st_mtime_ns, state.st_ino]
@@ -49,7 +50,7 @@ class FileHashes:
         return digest
 
     def learn(self, file: Path, sha256: str) -> None:
-        """Remember the hash of a file that was written and hashed just now."""
+        """Store the hash of a file that was written and hashed just now."""
         try:
             state = file.stat()
         except OSError:
@@ -59,8 +60,8 @@ class FileHashes:
         self._changed = True
 
     def save(self) -> None:
-        """Write what was learnt; a folder that may not be written to is no error."""
-        if not self._changed:
+        """Write the cache if it has changed; a folder without write permission is not an error."""
+        if not self._changed or not self.root.is_dir():  # a dataset that was deleted stays deleted
             return
         try:
             write_text(self.root / HASHES_FILE, json.dumps(self._known) + "\n")

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Files and folders that appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ from contextlib import contextmanager
 from errno import ENOTDIR
 from pathlib import Path
 
-# .NAME.HOST-PID.partial is being written by process PID of machine HOST, .NAME.HOST-PID.old.partial is about
-# to be deleted by it. Only its own machine can know whether a process is still alive.
+# Process PID of machine HOST writes .NAME.HOST-PID.partial and deletes .NAME.HOST-PID.old.partial. Only its
+# own machine can tell whether the process is still alive.
 HOST = re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname())
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<pid>\d+)(\.old)?\.partial")
 
 
 @contextmanager
 def whole_file(path: Path, *, sweep: bool = True) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success the file written there becomes `path`.
+    """Yield a temporary path beside `path`; on success, the file written there is renamed to `path`.
 
-    The bytes are on disk (fsync) before the rename, so neither a killed process nor a power cut leaves
-    half a file under the final name. On an error the temporary file is removed; what a killed process
-    left is removed by the next one that writes `path`, unless `sweep` is off: looking for it reads the whole
-    parent folder, which is needless for thousands of files inside a `whole_folder`.
+    The bytes are on disk (fsync) before the rename. Neither a killed process nor a power failure therefore
+    leaves an incomplete file at `path`. On an error, the temporary file is removed.
+
+    Parameters
+    ----------
+    path : final path; missing parent folders are made.
+    sweep : remove the temporary files that killed processes have left for this path. This lists the whole
+        parent folder, which takes time and is not needed for many files inside a `whole_folder`.
 
     Raises
     ------
@@ -45,14 +49,18 @@ def whole_file(path: Path, *, sweep: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path, *, sweep: bool = True) -> Iterator[Path]:
-    """Like `whole_file` for a folder and all in it; replaces an older folder of that name.
+    """As `whole_file`, for a folder with all its files; it replaces an older folder at `path`.
 
-    Looking for what killed processes left reads all of the parent folder; whoever makes thousands of folders
-    in one calls `remove_leftovers` once and then this with `sweep` off.
+    Parameters
+    ----------
+    path : final path; missing parent folders are made.
+    sweep : remove what killed processes have left for this path. This lists the whole parent folder; code
+        that makes thousands of folders calls `remove_leftovers` once and passes False here.
 
     Raises
     ------
     NotADirectoryError : `path` is a file.
+    OSError : a folder cannot be made, or the disk is full.
     """
     if path.exists() and not path.is_dir():
         raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), str(path))
@@ -61,7 +69,7 @@ def whole_folder(path: Path, *, sweep: bool = True) -> Iterator[Path]:
         remove_leftovers(path.parent, path.name)
     partial = _partial_name(path)
     old = partial.with_suffix(".old.partial")
-    _remove(partial)  # of an earlier process with our id
+    _remove(partial)  # left by an earlier process with the same id
     _remove(old)
     partial.mkdir()
     try:
@@ -70,7 +78,7 @@ def whole_folder(path: Path, *, sweep: bool = True) -> Iterator[Path]:
             _sync(entry)
         _sync(partial)
         if path.exists():
-            path.replace(old)  # a rename: no moment at which half of the old folder stands there
+            path.replace(old)  # a rename: deleting in place would leave a part of the folder for a moment
         partial.replace(path)
         _sync(path.parent)
     finally:
@@ -81,12 +89,12 @@ def whole_folder(path: Path, *, sweep: bool = True) -> Iterator[Path]:
 
 
 def is_partial(name: str) -> bool:
-    """Whether `name` is a temporary one of `whole_file` or `whole_folder`."""
+    """Whether `name` is a temporary name of `whole_file` or `whole_folder`."""
     return _PARTIAL.fullmatch(name) is not None
 
 
 def remove_leftovers(folder: Path, name: str | None = None) -> None:
-    """Remove what killed processes were writing in `folder`, of one final name or of all."""
+    """Remove the temporary files of killed processes in `folder`, for the final name `name` or for all."""
     with os.scandir(folder) as entries:
         names = [entry.name for entry in entries if entry.name.endswith(".partial")]
     for partial in names:
@@ -97,7 +105,7 @@ def remove_leftovers(folder: Path, name: str | None = None) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text, whole or not at all."""
+    """Write a UTF-8 text file, complete or not at all."""
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
@@ -115,7 +123,7 @@ def _remove(path: Path) -> None:
 
 def _is_alive(pid: int) -> bool:
     try:
-        os.kill(pid, 0)  # signal 0 only asks
+        os.kill(pid, 0)  # signal 0 does nothing but check whether the process exists
     except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:

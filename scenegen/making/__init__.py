@@ -1,5 +1,5 @@
-"""Making the scenes of a dataset: drawing them, their meshes in Blender, their Mitsuba files.
+"""Makes the scenes of a dataset: samples that fit the room, meshes in Blender, Mitsuba scene files.
 
-Only `night-gen` needs this wing. The modules named `blender...` are the only ones that import `bpy`; they are
-imported late. May import the rest of `scenegen`, which never imports this wing.
+Only ``night-gen`` needs this package. Its modules named ``blender...`` are the only ones that use `bpy`; they
+are imported late. It may import the rest of `scenegen`, which does not import it.
 """

@@ -24,8 +24,8 @@ _MIDDLE_COLOUR = (0.02, 0.02, 0.03)
 _FLOOR_COLOUR = (0.45, 0.45, 0.45)
 _LIGHT_COLOUR = (0.08, 0.4, 0.9)
 _CAMERA_COLOUR = (0.01, 0.04, 0.2)
-_FOOT_M = 0.3  # of the middle wall is drawn opaque
-_PICTURE_SAMPLES = 8  # paths a pixel, then denoised: 0.7 s for 288 x 216 on two cores
+_FOOT_M = 0.3  # height of the lowest part of the middle wall, which is drawn opaque
+_PICTURE_SAMPLES = 8  # paths per pixel; then denoised. 288 x 216 pixels take 0.7 s on two cores
 
 
 def outside_view(
@@ -83,12 +83,12 @@ def _everything() -> Iterator[bpy.types.ID]:
 def _picture_extras(
     scene: Scene, lit: NDArray[np.float64]
 ) -> Iterator[tuple[bpy.types.Mesh, tuple[float, float, float], float]]:
-    """What a picture shows beside walls and objects: mesh, colour and opacity of each."""
+    """Camera, frustum, lit area, foot of the middle wall and floor: mesh, linear RGB and opacity of each."""
     camera, wall = np.array(scene.camera.location_m), scene.relay_wall
     yield _pyramid(camera, camera + 0.22 * frustum_edges(scene.camera), base=True), _CAMERA_COLOUR, 1.0
     if len(lit):
         yield _pyramid(camera, lit, base=False), _LIGHT_COLOUR, 0.1
-        above = lit + 4e-3 * rotation_matrix(wall.rotation_deg)[:, 2]  # in front of the wall, not in it
+        above = lit + 4e-3 * rotation_matrix(wall.rotation_deg)[:, 2]  # in front of the wall
         yield _mesh(above, [tuple(range(len(lit)))]), _LIGHT_COLOUR, 0.55
     middle = wall_corners(scene.middle_wall)
     upwards = np.array([0.0, 0.0, 1.0])
@@ -117,7 +117,7 @@ def _mesh(vertices: NDArray[np.float64], faces: list[tuple[int, ...]]) -> bpy.ty
 def _show(
     stage: bpy.types.Scene, mesh: bpy.types.Mesh, colour: tuple[float, float, float], opacity: float
 ) -> None:
-    """Put a mesh that lies in world space on the stage."""
+    """Add a mesh in world space to the stage; `colour` is linear RGB."""
     material = bpy.data.materials.new("picture")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -137,10 +137,11 @@ def _show(
 
 
 def _set_up_view(stage: bpy.types.Scene, scene: Scene, lit: NDArray[np.float64]) -> None:
-    """Place viewer and light by walls and camera alone, so that all scenes of a dataset look alike.
+    """Place the viewer and the sun; they depend only on walls and camera, so that all scenes look alike.
 
-    The viewer looks at the foot of the camera on the middle wall, along that wall towards the relay wall and
-    a little from the object's side: camera and object then stand to both sides, and no wall before either.
+    The viewer looks along the middle wall towards the relay wall, slightly from the object's side, at the
+    camera's projection on the middle wall. Camera and object are then on different sides of the picture, and
+    no wall covers either of them.
     """
     camera = np.array(scene.camera.location_m)
     across = rotation_matrix(scene.middle_wall.rotation_deg)[:, 2]
@@ -170,7 +171,7 @@ def _set_up_view(stage: bpy.types.Scene, scene: Scene, lit: NDArray[np.float64])
 
 
 def _rendered(stage: bpy.types.Scene, width: int, height: int) -> NDArray[np.uint8]:
-    """(H, W, 3) the stage as Cycles sees it; Blender's other engines need a display."""
+    """(H, W, 3) sRGB picture of the stage by Cycles; Blender's other engines need a display."""
     settings = stage.render
     settings.engine = "CYCLES"
     stage.cycles.device, stage.cycles.samples, stage.cycles.seed = "CPU", _PICTURE_SAMPLES, 0
@@ -184,6 +185,6 @@ def _rendered(stage: bpy.types.Scene, width: int, height: int) -> NDArray[np.uin
         bpy.ops.render.render(write_still=True, scene=stage.name)
         image = bpy.data.images.load(settings.filepath)
         pixels = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)  # rows from the bottom, as they stand in the file: sRGB
+        image.pixels.foreach_get(pixels)  # sRGB as in the file, lowest row first
     flipped = pixels.reshape(height, width, -1)[::-1, :, :3]
     return np.round(255 * flipped).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Making a dataset's scenes: draw, check in the maker's geometry, write."""
+"""Makes the scenes of a dataset: draw a sample, check it against the geometry, write its files."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ NO_MESHES: Mapping[str, str] = MappingProxyType({})
 
 
 class Maker(Protocol):
-    """What turns a scene into files; `scenegen.making.blender.BlenderMaker` is the one there is."""
+    """Interface of a class that makes a scene's files: `scenegen.making.blender.BlenderMaker`."""
 
     @property
     def version(self) -> str:
         """Version of the program that makes the meshes."""
 
     def refusal(self, scene: Scene) -> str | None:
-        """Why the scene cannot be, or None."""
+        """Why the scene is impossible; None for a possible one."""
 
     def files(self, scene: Scene) -> dict[str, bytes]:
         """Names and contents of the scene's files."""
 
 
 def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES) -> None:
-    """Refuse a folder that holds something else than scenes of `preset`, as many or fewer.
+    """Refuse a folder that has anything but scenes of `preset`, in the same number or fewer.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESH
     DatasetError : the folder has other files, or a dataset of another preset or seed, of more scenes or of
         other meshes.
     """
-    foreign = DatasetError(f"{root} holds other files and is no NIGHT dataset: choose an empty folder")
+    foreign = DatasetError(f"{root} has other files and is not a NIGHT dataset: choose an empty folder")
     if root.exists() and not root.is_dir():
         raise foreign
     if (root / "dataset.json").exists():
@@ -71,21 +71,24 @@ def generate(
     *,
     meshes: Mapping[str, str] = NO_MESHES,
 ) -> Dataset:
-    """Make all scenes of `preset` in `root`, in this process; add them to those of a smaller count.
+    """Make all scenes of `preset` in the folder `root`, in this process.
 
-    Every scene's folder appears whole or not at all and ``dataset.json`` comes last. Same preset, same
-    bytes: every scene is made again, which costs milliseconds; a folder that holds just that stays
-    untouched, any other is replaced. So what was interrupted goes on and what was damaged is mended.
-    Scenes that an interrupted run of more scenes left are removed.
+    The same preset gives the same bytes. Every scene is computed, which takes milliseconds, and its folder is
+    written only if it does not have these bytes already. A second run therefore continues an interrupted one,
+    repairs damaged scenes, and adds scenes where the preset now asks for more. Each scene's folder appears
+    complete or not at all; ``dataset.json`` is written last. Scenes that an interrupted run of more scenes
+    has left are removed.
 
     Parameters
     ----------
+    root : folder of the dataset; made if missing.
+    maker : makes the files; it knows the preset's meshes.
     on_scene : called after every scene.
-    meshes : SHA-256 of the mesh files that the preset's shapes name, by shape; `maker` knows the meshes.
+    meshes : SHA-256 of the mesh files that the preset's shapes name, by shape.
 
     Raises
     ------
-    DatasetError : the folder holds something else.
+    DatasetError : as `check_target`.
     SamplingError : the preset's ranges leave an object no room.
     """
     prepare(root, preset, meshes)
@@ -94,7 +97,7 @@ def generate(
 
 
 def prepare(root: Path, preset: Preset, meshes: Mapping[str, str]) -> None:
-    """Check the target and remove the scenes that an interrupted run of more scenes left."""
+    """Check the folder; remove the scenes that an interrupted run of more scenes has left."""
     check_target(root, preset, meshes)
     for entry in _surplus(root / "scenes", preset.dataset.count):
         shutil.rmtree(entry)
@@ -103,7 +106,7 @@ def prepare(root: Path, preset: Preset, meshes: Mapping[str, str]) -> None:
 def finish(
     root: Path, preset: Preset, meshes: Mapping[str, str], scenes: Iterable[Scene], version: str
 ) -> Dataset:
-    """Take in the scenes as they are made, then write the index."""
+    """Collect the scenes as they are made, then write the index."""
     index = build_index(preset, scenes, version, meshes=meshes)
     if (root / "dataset.json").exists():
         _keep_rendering(open_dataset(root))
@@ -118,26 +121,26 @@ def _keep_rendering(dataset: Dataset) -> None:
 
 
 def reported(scenes: Iterable[Scene], on_scene: Callable[[], None]) -> Iterator[Scene]:
-    """The scenes as they come, each told of."""
+    """Yield the scenes; call `on_scene` before each."""
     for scene in scenes:
         on_scene()
         yield scene
 
 
 def write_scene(root: Path, preset: Preset, index: int, maker: Maker) -> Scene:
-    """Draw scene `index` and write its folder, unless just these bytes are there."""
+    """Draw scene `index` and write its folder, unless it already has exactly these bytes."""
     scene = sample_valid_scene(preset, index, maker.refusal)
     files = maker.files(scene)
     folder = root / "scenes" / scene.id
     if not _holds(folder, files):
-        with whole_folder(folder, sweep=False) as partial:  # prepare has swept
+        with whole_folder(folder, sweep=False) as partial:  # `prepare` has removed the leftovers
             for name, contents in files.items():
                 (partial / name).write_bytes(contents)
     return scene
 
 
 def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
-    """Whether a folder holds just these files with just these bytes."""
+    """Whether a folder has exactly these files with exactly these bytes."""
     try:
         if {entry.name for entry in folder.iterdir()} != set(files):
             return False
@@ -147,7 +150,7 @@ def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
 
 
 def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str]) -> int:
-    """How many scenes the finished dataset in `root` has, when `preset` asks for these and perhaps more."""
+    """Number of scenes of the dataset in `root`; `preset` must ask for the same scenes, or for more."""
     index = open_dataset(root).index
     count = index.preset.dataset.count
     if replace(preset, dataset=replace(preset.dataset, count=count)) != index.preset:
@@ -168,7 +171,7 @@ def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str]) -> int
 
 
 def _surplus(scenes: Path, count: int) -> list[Path]:
-    """What lies in the folder of scenes and is none of the first `count`."""
+    """Entries of the folder of scenes that are none of the first `count` scenes."""
     if not scenes.is_dir():
         return [scenes] if scenes.exists() else []
     remove_leftovers(scenes)
@@ -181,7 +184,7 @@ def _is_scene_folder(entry: Path) -> bool:
 
 
 def _is_ours(entry: Path, preset: Preset) -> bool:
-    """Whether an interrupted extension of a dataset of `preset` left this: the index alone knows the rest."""
+    """Whether an interrupted run that added scenes to the dataset of `preset` left this folder."""
     if not _is_scene_folder(entry):
         return False
     try:

@@ -1,4 +1,4 @@
-"""Making a dataset's scenes in several processes: the same bytes, sooner."""
+"""Makes the scenes of a dataset in several processes: the same bytes in less time."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from scenegen.preset import Preset
 from scenegen.scene import Scene
 
 _Result = TypeVar("_Result")
-_CHUNK = 16  # scenes a worker makes at a time: tens of milliseconds, so that progress shows
+_CHUNK = 16  # scenes of one task: it takes tens of milliseconds, so that progress is visible
 
 
 class WorkerError(NightError):
-    """A worker process that ended before its work did."""
+    """A worker process that ended before its work was done."""
 
 
 def generate_in_processes(
@@ -39,10 +39,17 @@ def generate_in_processes(
     workers: int,
     meshes: Mapping[str, str] = NO_MESHES,
 ) -> Dataset:
-    """Like `generate`, in that many processes; the bytes are the same.
+    """As `generate`, in several processes; the bytes are the same.
 
-    Every worker calls `make_maker`, which must be picklable. This process must not have loaded Blender
-    itself: new processes take over its `sys.path`, in which Blender's scripts hide the package `bpy`.
+    This process must not have loaded Blender: new processes inherit its `sys.path`, in which Blender's
+    scripts hide the package `bpy`.
+
+    Parameters
+    ----------
+    make_maker : called once in every worker; must be picklable.
+    on_scene : called in this process for every scene.
+    workers : number of processes.
+    meshes : SHA-256 of the mesh files that the preset's shapes name, by shape.
 
     Raises
     ------
@@ -61,13 +68,13 @@ def generate_in_processes(
 
 @dataclass(frozen=True)
 class _Worker:
-    """What a worker process keeps from chunk to chunk."""
+    """What a worker process keeps between tasks."""
 
     root: Path
     preset: Preset
     make_maker: Callable[[], Maker]
     stop: Event
-    makers: list[Maker]  # made with the first chunk: an error there reaches the parent, one at the start not
+    makers: list[Maker]  # made in the first task: the parent gets its errors, but not those of the start
 
     def maker(self) -> Maker:
         if not self.makers:
@@ -75,23 +82,23 @@ class _Worker:
         return self.makers[0]
 
 
-_workers: list[_Worker] = []  # of this process, if it is one: tasks of a pool share nothing else
+_workers: list[_Worker] = []  # of this process, if it is a worker: the tasks of a pool share only globals
 
 
 @contextmanager
 def _pool(
     workers: int, root: Path, preset: Preset, make_maker: Callable[[], Maker]
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool whose workers end when the block ends, however it ends."""
-    context = get_context("spawn")  # a fork would share Blender's and numpy's threads
+    """A pool whose workers end when the block ends, with or without an error."""
+    context = get_context("spawn")  # a fork would not have the threads of Blender and numpy
     stop = context.Event()
     pool = ProcessPoolExecutor(workers, context, _start_worker, (root, preset, make_maker, stop))
     try:
         yield pool
     except BrokenProcessPool:
         raise WorkerError(
-            "a worker process was killed, perhaps because memory ran out: the same command goes on where it "
-            "was, with a smaller --workers if it happens again"
+            "a worker process was killed, perhaps because memory ran out: run the same command again to "
+            "continue, with a smaller --workers if it happens again"
         ) from None
     finally:
         stop.set()
@@ -99,8 +106,8 @@ def _pool(
 
 
 def _submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: object) -> Future[_Result]:
-    """Hand out a task; a worker started for it leaves Ctrl-C, which reaches them all, to this process."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a new process inherits that
+    """Submit a task. A worker that is started for it ignores Ctrl-C, which this process handles for all."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # new processes inherit the mask
     try:
         return pool.submit(task, *arguments)
     finally:
@@ -108,9 +115,9 @@ def _submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments:
 
 
 def _results(pool: ProcessPoolExecutor, chunks: Iterable[range], ahead: int) -> Iterator[Scene]:
-    """The scenes in order, with so many chunks handed out ahead of the one that is waited for.
+    """Yield the scenes in order; `ahead` more chunks are submitted than the one that is waited for.
 
-    None is ever cancelled: a pool that breaks at that moment hangs (Python 3.11).
+    No task is ever cancelled: a pool that breaks at that moment hangs (Python 3.11).
     """
     pending: deque[Future[list[Scene]]] = deque()
     for chunk in chunks:
@@ -127,7 +134,7 @@ def _start_worker(root: Path, preset: Preset, make_maker: Callable[[], Maker], s
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent was killed: the pool would wait for work for ever."""
+    """End this process when its parent was killed; otherwise it would wait for work forever."""
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])
@@ -143,6 +150,6 @@ def _write_in_worker(indices: range) -> list[Scene]:
     made: list[Scene] = []
     for index in indices:
         if worker.stop.is_set():
-            break  # nobody waits for the rest
+            break  # the command is ending and needs no more scenes
         made.append(write_scene(worker.root, worker.preset, index, worker.maker()))
     return made

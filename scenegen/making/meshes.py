@@ -1,4 +1,4 @@
-"""The user's own meshes as hidden objects: files read, checked, and brought to one size and order."""
+"""The user's mesh files: read, checked, scaled to a common size, with vertices in a fixed order."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from scenegen.night_error import NightError
 from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 
-MAX_TRIANGLES = 2_000_000  # 26 MB a PLY file; Blender takes seconds for each of them
-MAX_FILE_BYTES = 2**30  # two million triangles as text are about half of it
-_EXTENT_RANGE = (1e-30, 1e30)  # squares of what lies outside leave float64's range
-_FLOAT32_STEP = float(np.finfo(np.float32).eps)  # coordinates in the unit box are known to this
+MAX_TRIANGLES = 2_000_000  # a PLY file of 26 MB; Blender needs seconds for it
+MAX_FILE_BYTES = 2**30  # two million triangles as text take about half of it
+_EXTENT_RANGE = (1e-30, 1e30)  # float64 holds the squares and products of such lengths
+_FLOAT32_STEP = float(np.finfo(np.float32).eps)  # accuracy of coordinates in the unit box
 
 
 class MeshError(NightError):
-    """A mesh file that is missing, cannot be read, or holds no surface."""
+    """A mesh file that is missing, cannot be read, or contains no surface."""
 
 
 @dataclass(frozen=True)
 class UserMesh:
-    """Triangles of a mesh file, at the origin.
+    """Triangles of a mesh file, centred and scaled.
 
     Attributes
     ----------
-    vertices : (V, 3) float32, centre of the bounding box at the origin, its longest side 1; each place once,
-        in ascending order of x, then y, then z.
-    triangles : (T, 3) int32 indices in the file's winding, in its order; none without area, none twice.
-    outermost : (N,) indices of the vertices of the convex hull; of a flat mesh, all vertices.
-    sha256 : of the file's bytes.
+    vertices : (V, 3) float32. The bounding box has its centre at the origin and its longest side is 1. No
+        position occurs twice; the order is ascending in x, then y, then z.
+    triangles : (T, 3) int32 indices, with the winding and in the order of the file. Each has an area, and no
+        set of three vertices occurs twice.
+    outermost : (N,) int64 indices of the vertices of the convex hull; for a flat mesh, of all vertices.
+    sha256 : hash of the file's bytes.
     """
 
     vertices: NDArray[np.float32]
@@ -46,33 +47,33 @@ class UserMesh:
 
 
 def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
-    """The meshes that a preset's shapes name, by shape; `folder` is the preset's own.
+    """Read the meshes that a preset's shapes name, by shape; `folder` is the preset's folder.
 
     Raises
     ------
-    MeshError : what is wrong with a file, by name.
+    MeshError : a file that `read_mesh` refuses; the message names it.
     """
     shapes = [shape for shape in preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)]
     return {shape: read_mesh(folder / shape.removeprefix(MESH_PREFIX)) for shape in shapes}
 
 
 def read_mesh(file: Path) -> UserMesh:
-    """Read a mesh in any format of trimesh (PLY, STL, OBJ, OFF, GLB, ...) that is one file.
+    """Read a mesh in any single-file format that trimesh supports (PLY, STL, OBJ, OFF, GLB, ...).
 
-    Objects of a file become one mesh, vertices at the same place one vertex, polygons triangles. Triangles
-    without area are dropped, and so are repeated ones, whichever way they face: a hidden object reflects
-    on both sides, and a surface modelled with two would count twice. All this is a function of the file's
-    bytes.
+    All objects of the file become one mesh, and polygons become triangles. Vertices at the same position are
+    merged. Triangles without area are removed. Of triangles with the same vertices only the first is kept,
+    whichever way it faces: a hidden object reflects on both sides, so a surface that is modelled with two
+    sides would count twice. The result depends only on the bytes of the file.
 
     Raises
     ------
-    MeshError : no such file, not a mesh, or one without a surface, with values that are no numbers, or with
-        more than two million triangles.
+    MeshError : the file is missing, is not a mesh, has no surface, has coordinates that are not finite, or
+        has more than two million triangles.
     """
     contents = _contents(file)
     vertices, triangles = _parsed(file, contents)
     if len(triangles) == 0:
-        raise MeshError(f"mesh {file} holds no triangles")
+        raise MeshError(f"mesh {file} has no triangles")
     if len(triangles) > MAX_TRIANGLES:
         raise MeshError(f"mesh {file} has {len(triangles)} triangles: simplify it to at most {MAX_TRIANGLES}")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
@@ -86,7 +87,7 @@ def read_mesh(file: Path) -> UserMesh:
 def _contents(file: Path) -> bytes:
     try:
         if file.exists() and not file.is_file():
-            raise MeshError(f"mesh {file} is no file")
+            raise MeshError(f"mesh {file} is not a file")
         if file.stat().st_size > MAX_FILE_BYTES:
             raise MeshError(f"mesh {file} is larger than {MAX_FILE_BYTES >> 30} GiB: simplify it")
         return file.read_bytes()
@@ -110,20 +111,20 @@ def _parsed(file: Path, contents: bytes) -> tuple[NDArray[np.float64], NDArray[n
         return vertices, np.asarray(mesh.faces, np.int64).reshape(-1, 3)
     except MemoryError:
         raise
-    except Exception as error:  # trimesh's parsers raise anything at all on damaged files
+    except Exception as error:  # trimesh's parsers raise errors of any class on damaged files
         raise MeshError(f"mesh {file} cannot be read as {kind.upper()}: {error}") from None
 
 
 def _in_unit_box(
     file: Path, vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Vertices and triangles as `UserMesh` has them; the box is that of the triangles that have an area."""
+    """Vertices and triangles as in `UserMesh`. Triangles without area do not count for the bounding box."""
     while len(triangles):
         used = vertices[np.unique(triangles)]
         low, high = used.min(axis=0), used.max(axis=0)
-        extent = float(np.max(high / 2 - low / 2)) * 2  # halves first: a difference may overflow
+        extent = float(np.max(high / 2 - low / 2)) * 2  # halved first: the difference may overflow
         if not _EXTENT_RANGE[0] <= extent <= _EXTENT_RANGE[1]:
-            raise MeshError(f"mesh {file} is {extent:g} units across: that is no size to scale from")
+            raise MeshError(f"mesh {file} is {extent:g} units across and cannot be scaled")
         centred = (vertices - (low / 2 + high / 2)) / extent
         unit, merged = _merged(
             centred[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles)
@@ -145,7 +146,7 @@ def _merged(
 
 
 def _has_area(vertices: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether a triangle's height over its longest side can be told from 0 in float32."""
+    """(T,) whether a triangle's height over its longest side differs from 0 in float32."""
     corners = vertices[triangles].astype(np.float64)  # (T, 3, 3)
     sides = np.roll(corners, -1, axis=1) - corners  # (T, 3, 3)
     twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)

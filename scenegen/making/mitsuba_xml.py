@@ -1,6 +1,6 @@
-"""Mitsuba 3 scene files of a scene, with paths relative to the file.
+"""Mitsuba 3 scene files. Paths in them are relative to the file.
 
-The projector needs an image to know its aspect ratio; `emitter_pfm` makes the smallest one.
+Mitsuba takes the projector's aspect ratio from an image; `emitter_pfm` makes the smallest one.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from scenegen.scene import Camera, RelayWall, Scene
 
 EMITTER_IMAGE = "emitter.pfm"
-# The projector's frustum is wider than the camera's by this much. With equal ones, rounding drops about one
-# path in a thousand of a border pixel, which is half the hidden signal there.
+# The projector's field of view is wider than the camera's by this angle. With equal angles, rounding loses
+# about one path in a thousand at the image border, and that is half of the hidden signal there.
 _FRUSTUM_MARGIN_DEG = 1e-3
 _TO_MITSUBA_CAMERA = np.diag([-1.0, 1.0, -1.0, 1.0])  # Blender looks along -z, Mitsuba along +z with x left
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A PLY file and what it is made of: ``relay_wall``, ``middle_wall`` or ``hidden_object``."""
+    """Name of a PLY file, and its material: ``relay_wall``, ``middle_wall`` or ``hidden_object``."""
 
     name: str
     material: str
@@ -42,12 +42,12 @@ def scene_xml(
     Parameters
     ----------
     camera_to_world, emitter_to_world : (4, 4) poses in Blender's camera convention (looking along -z).
-    meshes : what stands in the scene.
-    max_bounces : how many surfaces light may meet; one less than Mitsuba's `max_depth`.
+    meshes : the meshes of the scene.
+    max_bounces : number of surfaces that light may meet; Mitsuba's `max_depth` is larger by 1.
     """
     root = ET.Element("scene", version="3.0.0")
     integrator = _plugin(root, "integrator", "path")
-    _value(integrator, "integer", "max_depth", max_bounces + 1)  # Mitsuba counts path edges after the first
+    _value(integrator, "integer", "max_depth", max_bounces + 1)  # counts the edges after the first one
     _add_sensor(root, scene.camera, camera_to_world)
     _add_emitter(root, scene, emitter_to_world)
     for material in sorted({mesh.material for mesh in meshes}):
@@ -55,14 +55,14 @@ def scene_xml(
     for mesh in meshes:
         shape = _plugin(root, "shape", "ply", id=mesh.name.removesuffix(".ply"))
         _value(shape, "string", "filename", mesh.name)
-        _value(shape, "boolean", "face_normals", "true")  # flat faces: the mesh is the shape, no smoothing
+        _value(shape, "boolean", "face_normals", "true")  # no smooth shading
         ET.SubElement(shape, "ref", id=f"{mesh.material}_bsdf", name="bsdf")
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
 def emitter_pfm(camera: Camera) -> bytes:
-    """A portable float map of ones, with the camera's aspect ratio in the fewest pixels."""
+    """A portable float map of ones, of the smallest size that has the camera's aspect ratio."""
     divisor = gcd(camera.width, camera.height)
     width, height = camera.width // divisor, camera.height // divisor
     return f"Pf\n{width} {height}\n-1.0\n".encode() + np.ones((height, width), "<f4").tobytes()

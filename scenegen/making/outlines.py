@@ -1,4 +1,4 @@
-"""Where walls and frusta are, as polygons: what a picture of a scene from outside needs to know."""
+"""Walls and camera frusta as polygons, for a picture of a scene from outside."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenegen.scene import Camera, Wall
 
 
 def wall_corners(wall: Wall) -> NDArray[np.float64]:
-    """(4, 3) corners of a wall, one after the other around it."""
+    """(4, 3) corners of a wall in world space, metres, in order around it."""
     right, up, _ = rotation_matrix(wall.rotation_deg).T
     across, along = wall.size_m[0] / 2 * right, wall.size_m[1] / 2 * up
     offsets = np.array([-across - along, across - along, across + along, along - across])
@@ -20,7 +20,7 @@ def wall_corners(wall: Wall) -> NDArray[np.float64]:
 
 
 def frustum_edges(camera: Camera) -> NDArray[np.float64]:
-    """(4, 3) directions through the image's corners, one after the other around it, of z-depth 1."""
+    """(4, 3) directions through the image's corners in world space, in order, of z-depth 1."""
     half_width = np.tan(radians(camera.horizontal_fov_deg) / 2)
     half_height = half_width * camera.height / camera.width
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (half_width, half_height)
@@ -28,7 +28,7 @@ def frustum_edges(camera: Camera) -> NDArray[np.float64]:
 
 
 def frustum_sides(camera: Camera) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """The frustum's four planes: a point (the camera's place), and the normal that points inside."""
+    """The frustum's four planes: a point of each (the camera's location), and its inward normal."""
     edges = frustum_edges(camera)
     normals = [
         np.cross(edge, following) for edge, following in zip(edges, np.roll(edges, -1, 0), strict=True)
@@ -40,7 +40,19 @@ def frustum_sides(camera: Camera) -> list[tuple[NDArray[np.float64], NDArray[np.
 def clipped(
     polygon: NDArray[np.float64], planes: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 ) -> NDArray[np.float64]:
-    """(N, 3) the part of a convex polygon on the inner side of all planes (Sutherland and Hodgman 1974)."""
+    """The part of a convex polygon that lies on the inner side of all planes.
+
+    Parameters
+    ----------
+    polygon : (M, 3) corners in order.
+    planes : a point (3,) and the inward normal (3,) of each.
+
+    Returns
+    -------
+    (N, 3) corners in order; N is 0 where nothing is left.
+
+    Source: Sutherland and Hodgman 1974.
+    """
     for point, normal in planes:
         heights = (polygon - point) @ normal
         kept = []

@@ -1,0 +1,108 @@
+"""A dataset that grows: more scenes later, interrupted work, and folders that are refused."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from night_commands import refusal
+from scene_folders import contents, identities, of_seed_5
+
+from scenegen import (
+    DatasetError,
+    RenderingRecord,
+    open_dataset,
+    preset_from_dict,
+    scene_id,
+    write_rendering_record,
+)
+from scenegen.making.generation import check_target, generate
+
+
+def test_extending_equals_making_at_once_and_touches_no_scene_that_is_there(maker, tmp_path):
+    generate(tmp_path / "once", of_seed_5(20), maker, lambda: None)
+    generate(tmp_path / "grown", of_seed_5(9), maker, lambda: None)
+    before = identities(tmp_path / "grown" / "scenes")
+    generate(tmp_path / "grown", of_seed_5(20), maker, lambda: None)
+    after = identities(tmp_path / "grown" / "scenes")
+    assert {name: after[name] for name in before} == before
+    assert contents(tmp_path / "grown") == contents(tmp_path / "once")
+
+
+def test_making_a_dataset_again_keeps_the_record_of_its_renders(maker, tmp_path):
+    dataset = generate(tmp_path, of_seed_5(3), maker, lambda: None)
+    rendering = RenderingRecord(
+        *("many-light", "both", 3, {"error": 0.01}, 24, 18, {"mitsuba": "3.9"}, 3, 0.008, 0.01)
+    )
+    write_rendering_record(dataset.renders, rendering)
+    for count in (3, 5):
+        generate(tmp_path, of_seed_5(count), maker, lambda: None)
+        assert open_dataset(tmp_path).rendering == rendering
+
+
+def test_an_interrupted_extension_goes_on_or_is_taken_back(maker, tmp_path):
+    generate(tmp_path, of_seed_5(4), maker, lambda: None)
+    four = contents(tmp_path)
+
+    class StopHereError(Exception):
+        pass
+
+    made = []
+
+    def stop_after_six():
+        made.append(1)
+        if len(made) == 6:
+            raise StopHereError
+
+    with pytest.raises(StopHereError):
+        generate(tmp_path, of_seed_5(9), maker, stop_after_six)
+    assert len(open_dataset(tmp_path).ids()) == 4
+    assert (tmp_path / "scenes" / scene_id(5)).exists()
+    generate(tmp_path, of_seed_5(4), maker, lambda: None)
+    assert contents(tmp_path) == four
+    made.clear()
+    with pytest.raises(StopHereError):
+        generate(tmp_path, of_seed_5(9), maker, stop_after_six)
+    generate(tmp_path, of_seed_5(9), maker, lambda: None)
+    generate(tmp_path / "once", of_seed_5(9), maker, lambda: None)
+    once = contents(tmp_path / "once")
+    assert {name: data for name, data in contents(tmp_path).items() if not name.startswith("once")} == once
+
+
+@pytest.mark.parametrize("count", [3, 9])
+@pytest.mark.parametrize("damage", ["no scene.json", "no JSON", "another seed", "another index"])
+def test_a_folder_beside_a_finished_dataset_that_is_not_its_own_is_refused(maker, tmp_path, damage, count):
+    root = tmp_path / "data"
+    generate(root, of_seed_5(3), maker, lambda: None)
+    file = root / "scenes" / scene_id(7) / "scene.json"
+    file.parent.mkdir()
+    ours = json.loads((root / "scenes" / scene_id(1) / "scene.json").read_text())
+    if damage == "no JSON":
+        file.write_text("{")
+    elif damage == "another seed":
+        file.write_text(json.dumps(ours | {"index": 7, "dataset_seed": 6}))
+    elif damage == "another index":
+        file.write_text(json.dumps(ours))
+    with pytest.raises(DatasetError, match=rf"{scene_id(7)} is none of the dataset's scenes"):
+        generate(root, of_seed_5(count), maker, lambda: None)
+    assert file.parent.exists()
+    file.write_text(json.dumps(ours | {"index": 7}))
+    check_target(root, of_seed_5(count))
+
+
+def test_fewer_scenes_than_there_are_are_refused_with_the_number_there_is(maker, tmp_path):
+    generate(tmp_path, preset_from_dict({"dataset": {"count": 3}}, "three"), maker, lambda: None)
+    command = ["night-gen", "scenes", tmp_path, "--preset", "paper", "--count"]
+    message = refusal(*command, 2)
+    assert "already holds 3 scenes" in message
+    assert "--count 3 or more" in message
+    assert "another preset or seed" in refusal(*command, 3, "--seed", 1)
+    assert len(open_dataset(tmp_path).ids()) == 3
+
+
+def test_the_index_says_by_what_the_scenes_were_made(maker, tmp_path):
+    index = generate(tmp_path, of_seed_5(1), maker, lambda: None).index
+    assert set(index.packages) == {"night-nlos", "bpy", "numpy", "trimesh"}
+    assert index.packages["numpy"] == np.__version__
+    assert index.packages["trimesh"] == trimesh.__version__
+    assert index.blender_version.startswith(index.packages["bpy"])
