@@ -1,39 +1,27 @@
-"""The report: averages by group, the sweep of the mask threshold, and the page in a real browser."""
+"""The report: averages by group, the mask threshold, and the page in a real browser."""
 
 import csv
 import json
 import re
 import shutil
-import subprocess
-from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 import torch
+from report_pages import AT_NIGHT, WITH_WEBGL, WITHOUT_WEBGL, Page, browse, needs_chromium
 from safetensors.torch import load_file, save_file
-from synthetic_dataset import write_synthetic_dataset
+from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 
-from itof import phasor_of_return
 from model.data.shards import open_shards
 from model.network.metrics import image_metrics
-from model.network.readout import Readout
-from model.prediction.predictor import load, read_output
-from model.report.calibration import SWEEP, ThresholdSweep, output_of
+from model.prediction.predictor import load
+from model.report.chart_png import chart_figure
+from model.report.charts import training_curves
 from model.report.evaluation import EvaluationError, evaluate
 from model.run_folder import RunError
 from model.settings import TrainSettings
 from model.training.loop import train
 from scenegen import open_dataset
-
-CHROMIUM = shutil.which("chromium")
-FLAGS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update", "--virtual-time-budget=20000"),
-    *("--enable-logging=stderr", "--v=0", "--window-size=1280,1000"),
-)
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's package chromium")
-
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -115,36 +103,6 @@ def test_the_sweep_at_the_threshold_in_use_is_the_report(judged, run, dataset, t
     assert "judged with mask threshold 0.33" in (tmp_path / "report" / "index.html").read_text()
 
 
-def test_every_point_of_a_sweep_is_what_judging_at_it_gives():
-    rng = np.random.default_rng(7)
-    shape = (3, 5, 8)
-    phasor = rng.normal(size=shape) + 1j * rng.normal(size=shape)
-    phasor = (0.5 * phasor).astype(np.complex64)
-    truth_m = np.where(rng.random(shape) < 0.3, 2.5, 0.0).astype(np.float32)
-    truth_m[2] = 0  # a scene without object
-    readout = Readout(20e6)
-    sweep = ThresholdSweep("test", SWEEP, readout)
-    sweep.add(phasor, truth_m, (truth_m > 0).astype(np.uint8))
-    for point in sweep.curve().points:
-        depth_m, mask, _ = read_output(output_of(phasor), replace(readout, mask_threshold=point.threshold))
-        each = [image_metrics(*images) for images in zip(depth_m, mask, truth_m, truth_m > 0, strict=True)]
-        assert point.miou == pytest.approx(np.mean([m.miou for m in each]), rel=1e-12)
-        assert point.depth_mae_m == pytest.approx(np.mean([m.depth_mae_m for m in each]), rel=1e-6)
-
-
-def test_the_sweep_finds_the_threshold_that_parts_object_from_background():
-    # Amplitude 0.72 on the object and 0.68 beside it: of the thresholds swept only 0.70 parts them.
-    truth = np.zeros((1, 6, 9), dtype=np.uint8)
-    truth[0, 2:4, 3:7] = 1
-    amplitude = np.where(truth > 0, 0.72, 0.68)
-    phasor = (amplitude * phasor_of_return(np.full(truth.shape, 2.0), 20e6)).astype(np.complex64)
-    sweep = ThresholdSweep("validation", SWEEP, Readout(20e6, dead_zone=0.0))
-    sweep.add(phasor, (2.0 * truth).astype(np.float32), truth)
-    best = sweep.curve().best
-    assert (best.threshold, best.miou) == (0.7, 1.0)
-    assert best.depth_mae_m == pytest.approx(0.0, abs=1e-5)
-
-
 def test_without_validation_scenes_only_the_judged_split_is_swept(run, dataset, tmp_path):
     none = {"count": 4, "test_fraction": 0.5, "validation_fraction": 0.0}
     plain = write_synthetic_dataset(tmp_path / "data", count=4, dataset=none)
@@ -188,39 +146,6 @@ def test_the_summary_in_markdown_has_a_line_for_every_shape_and_wall(judged):
     assert set(widths) == {7}
 
 
-class Page(HTMLParser):
-    """What a page refers to, which elements it has, and its text but for scripts and styles."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.references, self.tags, self.policy, self.text = [], [], "", ""
-        self.scripts, self.styles, self._inside = [], [], ""
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.tags.append(tag)
-        self._inside = "plotly" if given.get("id") == "plotly" else tag
-        for name, value in attributes:
-            if name in {"src", "href", "xlink:href", "srcset", "action", "data", "poster", "formaction"}:
-                self.references.append(value)
-            if name == "style":
-                self.styles.append(value)
-        if given.get("http-equiv") == "Content-Security-Policy":
-            self.policy = given["content"]
-
-    def handle_endtag(self, tag):
-        self._inside = ""
-
-    def handle_data(self, data):
-        if self._inside == "script":
-            self.scripts.append(data)
-        elif self._inside == "style":
-            self.styles.append(data)
-        elif self._inside != "plotly":
-            self.text += data
-
-
 def test_the_page_refers_to_nothing_on_the_network(judged):
     page = Page((judged[1] / "index.html").read_text())
     assert page.references
@@ -235,15 +160,52 @@ def test_the_page_refers_to_nothing_on_the_network(judged):
     assert {"link", "iframe", "object", "embed", "base"} & set(page.tags) == {"link"}  # an empty icon
 
 
+def names_of_charts(folder):
+    return {file.stem for file in (folder / "figures").iterdir()} - {"best", "median", "worst"}
+
+
+def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(judged):
+    report, folder = judged
+    page = Page((folder / "index.html").read_text())
+    charts = page.data["chart-data"]
+    assert set(charts) == set(page.charts) == names_of_charts(folder)
+    assert len(charts) == 8
+    histogram = charts["miou_histogram"]
+    nothing, ours = (part for part in histogram["parts"] if part["kind"] == "bars")
+    assert sum(nothing["counts"]) == sum(ours["counts"]) == len(report.scenes)
+    assert ours["name"] == f"prediction, mean {report.prediction.miou.mean:.3g}"
+    values = [result.prediction.miou for result in report.scenes]
+    assert ours["counts"] == np.histogram(values, ours["edges"])[0].tolist()
+    averages = [part["x"] for part in histogram["parts"] if part["kind"] == "upright"]
+    assert averages == pytest.approx([report.no_object.miou.mean, report.prediction.miou.mean])
+    curve = next(part for part in charts["calibration_miou"]["parts"] if part["kind"] == "curve")
+    assert curve["y"][curve["x"].index(0.5)] == report.calibration.judged.at(0.5).miou
+
+
+def test_a_history_with_gaps_and_missing_columns_still_makes_charts():
+    full = {"epoch": [1.0, 2.0], "train_loss": [2.0, float("nan")], "validation_loss": [3.0, 1.0]}
+    (loss,) = training_curves(full)
+    assert [part.name for part in loss.parts] == ["training", "validation", "kept: epoch 2"]
+    assert loss.parts[0].y == (2.0, None)
+    (bare,) = training_curves({"epoch": [1.0], "validation_miou": [0.5]})  # one epoch, nothing to name
+    assert [(part.name, part.style) for part in bare.parts] == [("", "dots")]
+    for chart in (loss, bare):
+        json.dumps(chart.as_data(), allow_nan=False)
+        (axes,) = chart_figure(chart).axes
+        assert (axes.get_legend() is None) == (chart is bare)
+    assert training_curves({"epoch": []}) == training_curves({}) == ()
+
+
 @pytest.fixture(scope="module")
 def hostile(run, dataset, tmp_path_factory):
     """A report of a run and of scenes whose names are an attack."""
-    evil = "<script>document.title='evil'</script>$&|`"
+    evil = "\"onerror=\"document.title='evil'\"><script>document.title='evil'</script>$&|`{{ 7 * 7 }}"
     root = tmp_path_factory.mktemp("hostile")
     shutil.copytree(run, root / evil.replace("/", "-"))
     shutil.copytree(dataset.root, root / "data")
     for file in [root / "data" / "dataset.json", *(root / "data" / "scenes").glob("*/scene.json")]:
-        file.write_text(re.sub(r'"object_class": "\w+"', f'"object_class": "{evil}"', file.read_text()))
+        named = f'"object_class": {json.dumps(evil)}'
+        file.write_text(re.sub(r'"object_class": "\w+"', lambda _: named, file.read_text()))  # noqa: B023
     out = root / "report"
     hostile_run = root / evil.replace("/", "-")
     evaluate(hostile_run, open_dataset(root / "data"), out, device="cpu", progress=False)
@@ -254,32 +216,43 @@ def test_hostile_names_are_text_and_nothing_else(hostile, judged):
     evil, out = hostile
     text = (out / "index.html").read_text()
     assert evil not in text
+    assert evil.replace("/", "-") not in text
     page, harmless = Page(text), Page((judged[1] / "index.html").read_text())
-    assert evil in page.text
+    assert evil in page.text  # the class
+    assert evil.replace("/", "-") in page.text  # the run's folder
+    assert sum(evil in value for name, value in page.attributes if name == "alt") == 3
     assert page.tags.count("script") == harmless.tags.count("script")
+    assert {name for name, _ in page.attributes} == {name for name, _ in harmless.attributes}
     summary = (out / "summary.md").read_text()
     assert "<script" not in summary
     rows = [line for line in summary.splitlines() if line.startswith("|")]
     assert {line.count("|") - line.count("\\|") for line in rows} == {7}
 
 
-def browse(page, profile, *flags):
-    """The page as the browser has it in the end, and what it wrote to the console."""
-    done = subprocess.run(
-        [CHROMIUM, *FLAGS, *flags, f"--user-data-dir={profile}", "--dump-dom", page.as_uri()],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=240,
-    )
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+def assert_drawn(page):
+    """Every chart is there as plotly drew it, with its axes, its names and all of its points."""
+    assert set(page.data["chart-data"]) == set(page.charts)
+    for name, chart in page.data["chart-data"].items():
+        assert page.drawn[name] == "plotly"
+        drawn, parts = page.charts[name], chart["parts"]
+        assert (drawn["xtitle"], drawn["ytitle"]) == ([chart["x_label"]], [chart["y_label"]])
+        assert sorted(drawn["legendtext"]) == sorted(part["name"] for part in parts if part["name"])
+        marked = [part for part in parts if part["kind"] == "bars" or part.get("style") in {"dots", "rings"}]
+        assert len(drawn["point"]) >= sum(len(part["y" if "y" in part else "counts"]) for part in marked)
+        assert len(drawn["js-line"]) >= sum(part.get("style") == "line" for part in parts)
+
+
+def clouds(page):
+    return [how for name, how in page.drawn.items() if name.isdigit()]
 
 
 @needs_chromium
-def test_a_browser_draws_the_point_clouds_without_an_error(hostile, tmp_path):
-    document, console = browse(hostile[1] / "index.html", tmp_path, "--enable-unsafe-swiftshader")
-    assert re.findall(r'data-drawn="([^"]*)"', document) == ["plotly"] * 3
-    assert len(re.findall(r'class="gl-container"', document)) == 3
+def test_a_browser_draws_charts_and_point_clouds_without_an_error(hostile, tmp_path):
+    document, console = browse(hostile[1] / "index.html", tmp_path, WITH_WEBGL)
+    page = Page(document)
+    assert clouds(page) == ["plotly"] * 3
+    assert page.tags.count("canvas") == 3
+    assert_drawn(page)
     assert "data-errors" not in document.split("<head")[0]
     bad = [
         line for line in console if re.search(r"error|refused|violat|uncaught|failed", line, re.IGNORECASE)
@@ -289,32 +262,50 @@ def test_a_browser_draws_the_point_clouds_without_an_error(hostile, tmp_path):
 
 
 @needs_chromium
-def test_a_browser_without_webgl_gets_a_sentence(judged, tmp_path):
-    flags = ("--disable-3d-apis",)
-    document, _ = browse(judged[1] / "index.html", tmp_path, *flags)
-    assert re.findall(r'data-drawn="([^"]*)"', document) == ["no-webgl"] * 3
+@pytest.mark.parametrize(("scheme", "blue"), [((), "11, 111, 184"), ((AT_NIGHT,), "88, 176, 242")])
+def test_a_browser_without_webgl_gets_a_sentence_and_charts_in_the_colours_of_the_page(
+    judged, tmp_path, scheme, blue
+):
+    document, _ = browse(judged[1] / "index.html", tmp_path, WITHOUT_WEBGL, *scheme)
+    page = Page(document)
+    assert clouds(page) == ["no-webgl"] * 3
     assert document.count("<p>This browser offers no WebGL, so the point cloud cannot be drawn here.") == 3
+    assert_drawn(page)
+    blues = set(re.findall(r"fill: rgb\((11, 111, 184|88, 176, 242)\)", document))
+    assert blues == {blue}
     assert "data-errors" not in document.split("<head")[0]
 
 
-@needs_chromium
-def test_a_network_that_sees_nothing_still_gets_a_whole_page(run, tmp_path):
-    none = {"count": 4, "test_fraction": 0.5, "validation_fraction": 0.0}
-    data = write_synthetic_dataset(tmp_path / "data", count=4, dataset=none)
-    blind = tmp_path / "blind"
-    shutil.copytree(run, blind)
-    weights = load_file(blind / "best.safetensors")
+@pytest.fixture(scope="module")
+def blind(run, tmp_path_factory):
+    """A network that sees nothing, without a history."""
+    folder = tmp_path_factory.mktemp("runs") / "blind"
+    shutil.copytree(run, folder)
+    weights = load_file(folder / "best.safetensors")
     last = max(name for name in weights if name.startswith("head."))
     weights |= {name: torch.zeros_like(w) for name, w in weights.items() if name[:6] == last[:6]}
-    save_file(weights, blind / "best.safetensors")
-    (blind / "history.csv").unlink()
+    save_file(weights, folder / "best.safetensors")
+    (folder / "history.csv").unlink()
+    return folder
+
+
+@needs_chromium
+@pytest.mark.parametrize(("radius_m", "how"), [(DISC_RADIUS_M, "plotly"), (0.0, "empty")])
+def test_a_network_that_sees_nothing_still_gets_a_whole_page(blind, tmp_path, monkeypatch, radius_m, how):
+    monkeypatch.setattr("synthetic_dataset.DISC_RADIUS_M", radius_m)  # 0: no pixel shows an object
+    none = {"count": 4, "test_fraction": 0.5, "validation_fraction": 0.0}
+    data = write_synthetic_dataset(tmp_path / "data", count=4, dataset=none)
     report = evaluate(blind, data, tmp_path / "report", device="cpu", progress=False)
     assert report.prediction == report.no_object
     text = (tmp_path / "report" / "index.html").read_text()
     assert ", 0 predicted" in text
     assert "has no history.csv" in text
-    document, _ = browse(tmp_path / "report" / "index.html", tmp_path / "p", "--enable-unsafe-swiftshader")
-    assert re.findall(r'data-drawn="([^"]*)"', document) == ["plotly"] * 3
+    assert len(names_of_charts(tmp_path / "report")) == 5
+    document, _ = browse(tmp_path / "report" / "index.html", tmp_path / "p", WITH_WEBGL)
+    page = Page(document)
+    assert clouds(page) == [how] * 3
+    assert_drawn(page)
+    assert "data-errors" not in document.split("<head")[0]
 
 
 def test_a_damaged_history_is_named(run, dataset, tmp_path):

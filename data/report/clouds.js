@@ -1,8 +1,8 @@
-// Draws the point clouds. A box says in data-drawn how it ended: "plotly", "no-webgl", "empty" or "failed".
+// Draws the point clouds of model/report/report_scenes.py.
 (() => {
   const clouds = JSON.parse(document.getElementById("cloud-data").textContent);
-  const night = matchMedia("(prefers-color-scheme: dark)");
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+  const { colour, say } = drawing;
+  const FILES = "The same points are in the report's folder pointclouds, as PLY files";
 
   const hasWebgl = () => {
     try {
@@ -13,21 +13,14 @@
     }
   };
 
-  const say = (box, how, sentence) => {
-    box.dataset.drawn = how;
-    const line = document.createElement("p");
-    line.textContent = sentence;
-    box.replaceChildren(line);
-  };
-
-  const points = (name, colourName, list) => ({
+  const points = (name, list) => ({
     type: "scatter3d",
     mode: "markers",
     name,
     x: list.map((point) => point[0]),
     y: list.map((point) => point[1]),
     z: list.map((point) => point[2]),
-    marker: { size: 2.2, color: colour(colourName), opacity: 0.85, line: { width: 0 } },
+    marker: { size: 2.2, color: colour(name), opacity: 0.85, line: { width: 0 } },
     hovertemplate: "x %{x:.3f} m<br>y %{y:.3f} m<br>z %{z:.3f} m<extra>" + name + "</extra>",
   });
 
@@ -44,14 +37,13 @@
       showspikes: false,
     });
     return {
+      ...drawing.layout(),
       margin: { l: 0, r: 0, t: 0, b: 0 },
-      paper_bgcolor: "rgba(0,0,0,0)",
-      font: { color: colour("text") },
       showlegend: false,
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("baseline"), activecolor: colour("text") },
-      uirevision: "kept", // the view somebody turned to survives a change of colours
+      uirevision: "kept", // a view that the reader turned to stays when the colours change
       scene: {
-        aspectmode: "cube", // the ranges are equally long, so a metre is as long on every axis
+        aspectmode: "cube", // the ranges are equally long, so all axes have the same scale
         xaxis: axis("x right, m", 0),
         yaxis: axis("y down, m", 1),
         zaxis: axis("z forward, m", 2),
@@ -64,44 +56,26 @@
     };
   };
 
-  // Nothing that plotly can fetch or send: no maps, no MathJax, no link to its makers.
   const config = {
-    displaylogo: false,
-    responsive: true,
-    showLink: false,
-    showSendToCloud: false,
-    showEditInChartStudio: false,
-    plotlyServerURL: "",
-    topojsonURL: "",
-    typesetMath: false,
-    scrollZoom: false,
+    ...drawing.config,
     modeBarButtons: [["orbitRotation", "pan3d", "zoom3d", "resetCameraDefault3d", "toImage"]],
   };
-
-  const draw = async (box) => {
-    const cloud = clouds[Number(box.dataset.cloud)];
-    if (cloud === null) {
-      say(box, "empty", "Neither the truth nor the prediction shows an object: there are no points to draw.");
-      return;
-    }
-    const traces = [points("truth", "truth", cloud.truth), points("prediction", "prediction", cloud.prediction)];
-    try {
-      await Plotly.react(box, traces, layout(cloud), config);
-      box.dataset.drawn = "plotly";
-    } catch (error) {
-      say(box, "failed", "The point cloud could not be drawn (" + error + "). The same points are in the report's folder pointclouds, as PLY files.");
-    }
-  };
-
+  const cloudOf = (box) => clouds[Number(box.dataset.cloud)];
   const boxes = [...document.querySelectorAll("[data-cloud]")];
   if (!hasWebgl()) {
-    for (const box of boxes) {
-      say(box, "no-webgl", "This browser offers no WebGL, so the point cloud cannot be drawn here. The same points are in the report's folder pointclouds, as PLY files for MeshLab, Blender or Open3D.");
-    }
+    const sentence = "This browser offers no WebGL, so the point cloud cannot be drawn here. ";
+    for (const box of boxes) say(box, "no-webgl", sentence + FILES + " for MeshLab, Blender or Open3D.");
     return;
   }
-  const drawAll = () => boxes.forEach(draw);
-  for (const box of boxes) box.replaceChildren();
-  drawAll();
-  night.addEventListener("change", drawAll);
+  for (const box of boxes.filter((box) => cloudOf(box) === null)) {
+    say(box, "empty", "Neither the truth nor the prediction shows an object: there are no points to draw.");
+  }
+  drawing.draw(
+    boxes.filter((box) => cloudOf(box) !== null),
+    (box) => {
+      const cloud = cloudOf(box);
+      return [[points("truth", cloud.truth), points("prediction", cloud.prediction)], layout(cloud), config];
+    },
+    () => FILES + ".",
+  );
 })();

@@ -1,5 +1,6 @@
-"""Judging a trained network on a dataset: numbers, tables, charts and the report page.
+"""Evaluation of a trained network on a dataset: numbers, tables, charts and the report page.
 
-Here: the evaluation of a split, groups of scenes, the sweep of mask thresholds, and the files that are
-written. May import `model.prediction`, `model.data` and `model.network`; not `model.training`.
+`evaluation` is the entry; `judging` runs the network over a split, `results`, `groups` and `calibration` hold
+the numbers, the other modules write the report. May import `model.prediction`, `model.data`, `model.network`,
+the run folder and the settings; not `model.training`.
 """

@@ -10,8 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from itof import DepthMap
 from model.network.readout import Readout
-from model.prediction.predictor import Prediction, read_output
+from model.prediction.predictor import read_output
 from scenegen import Split
 
 SWEEP = tuple(round(0.05 * step, 2) for step in range(1, 20))  # 0.05 .. 0.95
@@ -130,9 +131,9 @@ class ThresholdSweep:
         self._depth_mae_m.append((error_m + missed_m) / truth.size)
 
 
-def reread(prediction: Prediction, readout: Readout) -> Prediction:
+def reread(prediction: DepthMap, readout: Readout) -> DepthMap:
     """Read predictions (N, H, W) again, with another mask threshold; their phasors are what they were."""
-    return Prediction(*read_output(output_of(prediction.phasor), readout))
+    return DepthMap(*read_output(output_of(prediction.phasor), readout), frequency_hz=readout.frequency_hz)
 
 
 def output_of(phasor: NDArray[np.complex64]) -> Tensor:

@@ -1,175 +1,181 @@
-"""The report's charts: distributions, calibration and training curves, as PNG and as SVG for the page."""
+"""The report's charts as plain data: distributions, mask thresholds and training curves.
+
+``chart_png.py`` draws them as PNG files and ``data/report/charts.js`` draws them in the page, so that every
+number and every label is written once, here.
+"""
 
 from __future__ import annotations
 
-import io
-import re
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from model.network.metrics import ImageMetrics
-from model.report.calibration import Calibration
+from model.report.calibration import Calibration, ThresholdCurve
 from model.report.results import Report
 
-# A PNG shows these as they are; in the page each is a CSS variable, which is another colour by night.
-TEXT, GRID, BASELINE, PREDICTION, TRUTH = "#3a4047", "#dde1e6", "#9aa1a9", "#0b6fb8", "#d9730d"
-VARIABLES = {
-    TEXT: "var(--text)",
-    GRID: "var(--line)",
-    BASELINE: "var(--baseline)",
-    PREDICTION: "var(--prediction)",
-    TRUTH: "var(--truth)",
-}
-SIZE_INCHES = (4.4, 3.0)
+Colour = Literal["text", "baseline", "prediction", "truth"]  # CSS variables of the page
 History = Mapping[str, Sequence[float]]
+BIN_COUNT = 24
 
 
-def distributions(report: Report) -> dict[str, Figure]:
-    """Histograms of MAE, mIoU and accuracy: prediction, and "no object" beside it."""
+@dataclass(frozen=True)
+class Bars:
+    """A histogram: `counts` (n,) in the bins between `edges` (n + 1,)."""
+
+    name: str
+    colour: Colour
+    edges: tuple[float, ...]
+    counts: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points (x, y): joined by a line, joined and with a dot each, or rings alone.
+
+    Attributes
+    ----------
+    name : in the legend; "" for none there.
+    y : None where there is no finite number.
+    """
+
+    name: str
+    colour: Colour
+    x: tuple[float, ...]
+    y: tuple[float | None, ...]
+    style: Literal["line", "dots", "rings"] = "line"
+    width_pt: float = 1.5
+
+
+@dataclass(frozen=True)
+class Upright:
+    """A vertical line at `x` over the full height; without `name` it is not in the legend."""
+
+    name: str
+    colour: Colour
+    x: float
+    dash: Literal["dash", "dot"]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One chart; its parts are drawn one over the other, the last on top.
+
+    Attributes
+    ----------
+    name : of its PNG file, and of its box in the page.
+    whole_x, whole_y : the axis counts something, so it has ticks at whole numbers only.
+    """
+
+    name: str
+    x_label: str
+    y_label: str
+    parts: tuple[Bars | Curve | Upright, ...]
+    whole_x: bool = False
+    whole_y: bool = False
+
+    @property
+    def description(self) -> str:
+        """The chart in words, for readers who do not see it."""
+        names = "; ".join(part.name for part in self.parts if part.name)
+        return f"Chart of {self.y_label} against {self.x_label}" + (f": {names}" if names else "")
+
+    def as_data(self) -> dict[str, Any]:
+        """What JSON can hold of it; each part says its kind."""
+        parts = [{"kind": type(part).__name__.lower(), **asdict(part)} for part in self.parts]
+        return {**asdict(self), "parts": parts}
+
+
+def distributions(report: Report) -> tuple[Chart, ...]:
+    """Histograms of MAE, mIoU and accuracy: of the prediction, and of "no object" behind it."""
     ours, nothing = [r.prediction for r in report.scenes], [r.no_object for r in report.scenes]
-    return {
-        "mae_histogram": _histogram("MAE over all pixels, cm", _cm(ours), _cm(nothing)),
-        "miou_histogram": _histogram("mIoU", [m.miou for m in ours], [m.miou for m in nothing]),
-        "accuracy_histogram": _histogram(
-            "accuracy", [m.accuracy for m in ours], [m.accuracy for m in nothing]
+    return (
+        _histogram("mae_histogram", "MAE over all pixels, cm", _cm(ours), _cm(nothing)),
+        _histogram("miou_histogram", "mIoU", [m.miou for m in ours], [m.miou for m in nothing]),
+        _histogram(
+            "accuracy_histogram", "accuracy", [m.accuracy for m in ours], [m.accuracy for m in nothing]
         ),
-    }
+    )
 
 
-def calibration_curves(calibration: Calibration) -> dict[str, Figure]:
+def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
     """Mean mIoU and mean MAE against the mask threshold."""
-    return {
-        "calibration_miou": _sweep("mean mIoU", calibration, "miou", 1.0),
-        "calibration_mae": _sweep("mean MAE over all pixels, cm", calibration, "depth_mae_m", 100.0),
-    }
+    return (
+        _sweep("calibration_miou", "mean mIoU", calibration, "miou", 1.0),
+        _sweep("calibration_mae", "mean MAE over all pixels, cm", calibration, "depth_mae_m", 100.0),
+    )
 
 
-def training_curves(history: History) -> dict[str, Figure]:
+def training_curves(history: History) -> tuple[Chart, ...]:
     """Losses, validation MAE and mIoU by epoch, the epoch of the kept weights marked; none without epochs.
 
     Parameters
     ----------
     history : columns of ``history.csv``; a chart whose columns are missing is left out.
     """
-    wanted = {
-        "training_loss": (
-            "loss",
-            {"train_loss": ("training", TRUTH), "validation_loss": ("validation", PREDICTION)},
-        ),
-        "training_mae": ("validation MAE, cm", {"validation_mae_cm": ("", PREDICTION)}),
-        "training_miou": ("validation mIoU", {"validation_miou": ("", PREDICTION)}),
+    losses: dict[str, tuple[str, Colour]] = {
+        "train_loss": ("training", "truth"),
+        "validation_loss": ("validation", "prediction"),
     }
-    return {
-        name: _epochs(label, history, lines)
+    wanted: dict[str, tuple[str, dict[str, tuple[str, Colour]]]] = {
+        "training_loss": ("loss", losses),
+        "training_mae": ("validation MAE, cm", {"validation_mae_cm": ("", "prediction")}),
+        "training_miou": ("validation mIoU", {"validation_miou": ("", "prediction")}),
+    }
+    return tuple(
+        _epochs(name, label, history, lines)
         for name, (label, lines) in wanted.items()
         if history.get("epoch") and all(history.get(column) for column in lines)
-    }
-
-
-def inline_svg(name: str, figure: Figure) -> str:
-    """A figure as an ``<svg>`` element that takes the page's width, font and colours."""
-    stream = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):  # the salt keeps names apart
-        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    svg = stream.getvalue()
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
-    svg = re.sub(
-        r' id="(?:figure|axes|patch|line2d|text|matplotlib\.axis|xtick|ytick|legend|[A-Z]\w*)_\d+"', "", svg
     )
-    svg = re.sub(
-        r'<svg [^>]*?viewBox="([^"]+)"[^>]*>',
-        r'<svg class="chart" viewBox="\1" aria-hidden="true">',
-        svg,
-        count=1,
+
+
+def _histogram(name: str, label: str, ours: Sequence[float], nothing: Sequence[float]) -> Chart:
+    """Number of scenes by value; the averages are dashed."""
+    edges = np.histogram_bin_edges([*ours, *nothing], bins=BIN_COUNT)
+    parts: list[Bars | Upright] = []
+    whose: tuple[tuple[Sequence[float], str, Colour], ...] = (
+        (nothing, "no object", "baseline"),
+        (ours, "prediction", "prediction"),
     )
-    svg = svg.replace("xlink:href", "href")
-    for colour, variable in VARIABLES.items():
-        svg = svg.replace(colour, variable)
-    return svg
+    for values, who, colour in whose:
+        counts, mean = np.histogram(values, edges)[0], float(np.mean(values))
+        parts.append(Bars(f"{who}, mean {mean:.3g}", colour, tuple(edges.tolist()), tuple(counts.tolist())))
+        parts.append(Upright("", colour, mean, "dash"))
+    return Chart(name, label, "number of scenes", tuple(parts), whole_y=True)
 
 
-def _histogram(label: str, ours: Sequence[float], nothing: Sequence[float]) -> Figure:
-    """How many scenes have which value; the averages are dashed lines."""
-    figure, axes = _empty(label, f"scenes of {len(ours)}")
-    edges = np.histogram_bin_edges([*ours, *nothing], bins=24).tolist()
-    for values, name, colour in ((nothing, "no object", BASELINE), (ours, "prediction", PREDICTION)):
-        mean = float(np.mean(values))
-        axes.hist(values, bins=edges, color=colour, alpha=0.75, label=f"{name}, mean {mean:.3g}")
-        axes.axvline(mean, color=colour, linestyle="--", linewidth=1.2)
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    _legend(axes)
-    return figure
-
-
-def _sweep(label: str, calibration: Calibration, field: str, scale: float) -> Figure:
-    """A line a split; dotted the threshold in use, a ring where validation is best."""
-    figure, axes = _empty("mask threshold", label)
-    axes.axvline(calibration.judged_threshold, color=TEXT, linestyle=":", linewidth=1.2, label="in use")
-    validation = calibration.validation
-    for curve, colour in ((calibration.judged, PREDICTION), (validation, TRUTH)):
-        if curve is None or (colour == TRUTH and curve is calibration.judged):
-            continue
-        values = [scale * getattr(point, field) for point in curve.points]
-        axes.plot([p.threshold for p in curve.points], values, color=colour, label=curve.split)
+def _sweep(name: str, label: str, calibration: Calibration, field: str, scale: float) -> Chart:
+    """One line for each split; the threshold in use is dotted, a ring marks the best of validation."""
+    judged, validation = calibration.judged, calibration.validation
+    parts: list[Curve | Upright] = [Upright("in use", "text", calibration.judged_threshold, "dot")]
+    splits: list[tuple[Colour, ThresholdCurve]] = [("prediction", judged)]
+    if validation is not None and validation is not judged:
+        splits.append(("truth", validation))
+    for colour, curve in splits:
+        values = tuple(scale * getattr(point, field) for point in curve.points)
+        parts.append(Curve(curve.split, colour, tuple(p.threshold for p in curve.points), values))
     if validation is not None:
         best = validation.best
-        ring = {"marker": "o", "fillstyle": "none", "markersize": 8, "linestyle": "none"}
-        colour = PREDICTION if validation is calibration.judged else TRUTH
-        axes.plot([best.threshold], [scale * getattr(best, field)], color=colour, **ring)  # type: ignore[arg-type]
-    _legend(axes)
-    return figure
+        colour = splits[-1][0]  # the validation split's
+        parts.append(Curve("", colour, (best.threshold,), (scale * getattr(best, field),), "rings"))
+    return Chart(name, "mask threshold", label, tuple(parts))
 
 
-def _epochs(label: str, history: History, lines: Mapping[str, tuple[str, str]]) -> Figure:
-    figure, axes = _empty("epoch", label)
-    epochs = history["epoch"]
-    marker = "o" if len(epochs) == 1 else None  # a line through one point is none
-    for column, (name, colour) in lines.items():
-        axes.plot(epochs, history[column], color=colour, linewidth=1.2, marker=marker, label=name)
+def _epochs(name: str, label: str, history: History, lines: Mapping[str, tuple[str, Colour]]) -> Chart:
+    """Columns of the history by epoch."""
+    epochs = tuple(history["epoch"])
+    parts: list[Curve | Upright] = []
+    for column, (line, colour) in lines.items():
+        values = tuple(value if math.isfinite(value) else None for value in history[column])
+        # One epoch makes no line: its values are dots.
+        parts.append(Curve(line, colour, epochs, values, "dots" if len(epochs) == 1 else "line", 1.2))
     if history.get("validation_loss"):
         kept = epochs[int(np.argmin(history["validation_loss"]))]
-        axes.axvline(kept, color=TEXT, linestyle=":", linewidth=1.2, label=f"kept: epoch {kept:g}")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    _legend(axes)
-    return figure
-
-
-def _empty(x: str, y: str) -> tuple[Figure, Axes]:
-    """Labelled axes in the report's colours."""
-    figure = Figure(figsize=SIZE_INCHES, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.set_xlabel(x, color=TEXT)
-    axes.set_ylabel(y, color=TEXT)
-    axes.tick_params(colors=TEXT, length=3, labelsize=9)
-    axes.grid(axis="y", color=GRID, linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(BASELINE)
-    return figure, axes
-
-
-def _legend(axes: Axes) -> None:
-    """What the lines are, above the axes."""
-    named = [(h, name) for h, name in zip(*axes.get_legend_handles_labels(), strict=True) if name]
-    handles, names = zip(*named, strict=True)
-    axes.legend(
-        handles,
-        names,
-        loc="lower center",
-        bbox_to_anchor=(0.5, 1.0),
-        ncols=min(len(named), 3),
-        frameon=False,
-        fontsize=9,
-        labelcolor=TEXT,
-        handlelength=1.4,
-    )
+        parts.append(Upright(f"kept: epoch {kept:g}", "text", kept, "dot"))
+    return Chart(name, "epoch", label, tuple(parts), whole_x=True)
 
 
 def _cm(metrics: Sequence[ImageMetrics]) -> list[float]:

@@ -19,6 +19,7 @@ REPORT_SCHEMA = 1
 REPORT_ENTRIES = frozenset(
     {"index.html", "metrics.json", "metrics.csv", "table.txt", "summary.md", "figures", "pointclouds"}
 )
+SUMMARY_HEAD = ("measure", "", "average", "std", "min", "max")
 GROUP_HEAD = ("scenes", "MAE, cm", "object MAE, cm", "mIoU", "no object: MAE, cm")
 IN_SUMMARY = ("object_class", "roughness")  # the group tables that documents want
 
@@ -71,13 +72,17 @@ def summary_markdown(report: Report) -> str:
         f"{report.split} split, {len(report.scenes)} scenes, radial depth; {report.calibration.judged_with}."
     )
     lines = [head, ""]
-    rows = [(measure.name, who, *texts) for measure, who, texts in report.lines()]
-    lines += _markdown(("measure", "", "average", "std", "min", "max"), rows, words=2)
+    lines += _markdown(SUMMARY_HEAD, summary_rows(report), words=2)
     for table in report.groups:
         if table.key in IN_SUMMARY:
             rows = [(group.name, *group_texts(group)) for group in table.groups]
             lines += ["", *_markdown((table.title, *GROUP_HEAD), rows, words=1)]
     return "\n".join(lines) + "\n"
+
+
+def summary_rows(report: Report) -> list[tuple[str, ...]]:
+    """Rows of the summary in the order of SUMMARY_HEAD: measure, whose, and the statistics as text."""
+    return [(measure.name, who, *texts) for measure, who, texts in report.lines()]
 
 
 def group_texts(group: Group) -> tuple[str, ...]:

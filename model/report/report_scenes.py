@@ -1,75 +1,68 @@
-"""The part of the report page that shows single scenes: pictures, and point clouds to be turned."""
+"""Single scenes for the report page: pictures, and point clouds that the reader can rotate."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from model.prediction.figures import comparison_figure, describe, write_figure
-from model.report.report_html import Section, grid, note
+from model.prediction.figures import write_figure
+from model.report.comparison import comparison_figure, describe
 from model.report.results import Report
-from model.report.showcase import Cloud, ShownScene
+from model.report.showcase import Cloud, ShownScene, cloud_of
 
 
-def pictures(report: Report, shown: Sequence[ShownScene], figures: Path) -> Section:
-    """Truth and prediction of the shown scenes; each picture is also written to `figures`."""
+def pictures(report: Report, shown: Sequence[ShownScene], figures: Path) -> list[dict[str, Any]]:
+    """Truth and prediction of the shown scenes, written to the folder `figures`.
+
+    Returns
+    -------
+    One dictionary for each picture: `png` (base64), `width` and `height` in pixels, and `text` for readers
+    who do not see it.
+    """
     parts = []
     for scene in shown:
         result = scene.result
         rank = f"{scene.rank} of {len(report.scenes)} {report.split} scenes"
         title = f"{rank}: {result.scene}, {result.object_class}"
-        # A $ would begin a formula in the picture's title.
-        figure = comparison_figure(
-            title.replace("$", r"\$"), scene.truth, scene.prediction, result.prediction
-        )
-        write_figure(figures / f"{scene.rank}.png", figure)
-        data = base64.b64encode((figures / f"{scene.rank}.png").read_bytes()).decode()
+        figure = comparison_figure(title, scene.truth, scene.prediction, result.prediction)
+        file = figures / f"{scene.rank}.png"
+        write_figure(file, figure)
         width, height = (round(length * figure.dpi) for length in figure.get_size_inches())
-        text = escape(f"{title}. {describe(result.prediction)}")
-        size = f'width="{width}" height="{height}"'
         parts.append(
-            f'<figure class="wide"><img src="data:image/png;base64,{data}" {size} alt="{text}"></figure>'
+            {
+                "png": base64.b64encode(file.read_bytes()).decode(),
+                "width": width,
+                "height": height,
+                "text": f"{title}. {describe(result.prediction)}",
+            }
         )
-    return Section(
-        "scenes",
-        "Best, median and worst scene",
-        "By accuracy. Above the truth, below the prediction: the two components of the mirrored scene's "
-        "phasor, which the network predicts, and the depth read from them; both rows share their colours.",
-        "\n".join(parts),
-    )
+    return parts
 
 
-def point_clouds(shown: Sequence[ShownScene], clouds: Sequence[Cloud | None]) -> Section:
-    """Boxes that ``clouds.js`` draws the points into."""
+def point_clouds(shown: Sequence[ShownScene]) -> list[dict[str, Any]]:
+    """Point clouds of the shown scenes: a title, counts of points, and `points` for ``clouds.js``."""
     parts = []
-    for place, (scene, cloud) in enumerate(zip(shown, clouds, strict=True)):
-        stray = f"; {cloud.outside} points lie outside the box" if cloud and cloud.outside else ""
-        caption = f"{len(scene.points_gt_m)} true points, {len(scene.points_pred_m)} predicted{stray}."
+    for scene in shown:
+        cloud = cloud_of(scene)
         parts.append(
-            f"<h3>{escape(f'{scene.rank}: {scene.result.scene}, {scene.result.object_class}')}</h3>"
-            f'<div class="cloud" data-cloud="{place}" role="img" aria-label="{escape(caption)}">'
-            "<p>The point cloud is drawn by a script, and this browser runs none here.</p></div>"
-            f"{note(caption)}"
+            {
+                "title": f"{scene.rank}: {scene.result.scene}, {scene.result.object_class}",
+                "true_count": len(scene.points_gt_m),
+                "predicted_count": len(scene.points_pred_m),
+                "outside_count": cloud.outside if cloud else 0,
+                "points": _points(cloud),
+            }
         )
-    return Section(
-        "clouds",
-        "Point clouds",
-        "The same scenes in space, as the camera would see the object in a relay wall that were a mirror. "
-        "Axes are the camera's: x to the right, y down, z forward, metres, camera at the origin; one metre "
-        "is as long on every axis. Drag to turn, pinch or use the buttons to zoom.",
-        '<p><span class="key truth"></span>truth<span class="key prediction"></span>prediction</p>'
-        + grid(parts, "three"),
-    )
+    return parts
 
 
-def cloud_data(cloud: Cloud | None) -> dict[str, Any] | None:
-    """What the page's script needs of a cloud; millimetres are enough."""
+def _points(cloud: Cloud | None) -> dict[str, Any] | None:
+    """Points and their box, metres; millimetres are enough. None where there is no point."""
     if cloud is None:
         return None
     return {

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from itof import DepthMap
 from model.network.metrics import ImageMetrics, image_metrics, no_object_metrics
-from model.prediction.predictor import Prediction
 from scenegen import Scene
 
 
@@ -34,7 +34,7 @@ class SceneResult:
 
 
 def judge_scene(
-    scene: Scene, prediction: Prediction, radial_depth_gt_m: NDArray[np.float32], mask_gt: NDArray[np.uint8]
+    scene: Scene, prediction: DepthMap, radial_depth_gt_m: NDArray[np.float32], mask_gt: NDArray[np.uint8]
 ) -> SceneResult:
     """Judge the prediction of one image against its truth, all (H, W), depths in metres."""
     return SceneResult(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.prediction.figures import DepthView
+from itof import DepthMap
 from model.report.scene_result import SceneResult
 
 CLOUD_POINTS = 5000  # of one cloud in the page; the PLY files have all
@@ -21,8 +21,8 @@ class ShownScene:
 
     rank: str
     result: SceneResult
-    truth: DepthView
-    prediction: DepthView
+    truth: DepthMap
+    prediction: DepthMap
     points_gt_m: NDArray[np.float32]
     points_pred_m: NDArray[np.float32]
 

@@ -1,0 +1,57 @@
+"""Picture of a scene: ground truth above prediction, like the figures of the paper."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from itof import DepthMap
+from model.network.metrics import ImageMetrics
+from model.prediction.figures import depth_range, finish_panels, plain
+
+
+def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics: ImageMetrics) -> Figure:
+    """Re, Im and radial depth of one scene (H, W): ground truth above prediction, MAE and mIoU in the title.
+
+    Both rows have the same colour scales: [-1, 1] for Re and Im, the range of the true object for depth.
+    Depths of the prediction outside this range have the colour of the nearer end.
+    """
+    height, width = truth.mask.shape
+    figure = Figure(figsize=(10.5, 1.2 + 2 * 3.0 * height / width), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 3)
+    near_m, far_m = depth_range(truth, prediction)
+    for row, (name, view) in enumerate((("ground truth", truth), ("prediction", prediction))):
+        components = [
+            axes[row, column].imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
+            for column, part in enumerate((view.phasor.real, view.phasor.imag))
+        ]
+        depth_m = np.where(view.mask, view.radial_depth_m, np.nan)  # NaN is drawn as background
+        depth = axes[row, 2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
+        axes[row, 0].set_ylabel(name, fontsize=11)
+        finish_panels(axes[row], titles=row == 0)
+    _colour_bars(figure, axes, components[1], depth)
+    figure.suptitle(f"{plain(title)}\n{describe(metrics)}", fontsize=11)
+    return figure
+
+
+def describe(metrics: ImageMetrics) -> str:
+    """MAE and mIoU of an image as text."""
+    on_object = "no overlap" if metrics.object_mae_m is None else f"{100 * metrics.object_mae_m:.2f} cm"
+    return (
+        f"MAE {100 * metrics.depth_mae_m:.2f} cm over all pixels, {on_object} on the object, "
+        f"mIoU {metrics.miou:.3f}"
+    )
+
+
+def _colour_bars(figure: Figure, axes: NDArray[np.object_], component: AxesImage, depth: AxesImage) -> None:
+    """Draw one colour bar for Re and Im and one for depth, below the columns."""
+    figure.colorbar(component, ax=list(axes[:, :2].ravel()), location="bottom", aspect=40, pad=0.03)
+    bar = figure.colorbar(
+        depth, ax=list(axes[:, 2]), location="bottom", aspect=20, pad=0.03, extend="both", label="m"
+    )
+    bar.locator = MaxNLocator(4)

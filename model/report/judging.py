@@ -1,0 +1,159 @@
+"""Comparison of a network's predictions with the ground truth of a split."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof import DepthMap, join_components, phasor_of_return
+from model.data.feed import Feed
+from model.data.rows import RowBlock
+from model.data.shards import Shards
+from model.network.metrics import summarise
+from model.network.readout import Readout
+from model.prediction.pointclouds import object_points, write_point_cloud
+from model.prediction.predictor import BATCH, Predictor
+from model.report.calibration import SWEEP, Calibration, ThresholdCurve, ThresholdSweep, reread
+from model.report.groups import group_tables
+from model.report.refusals import EvaluationError
+from model.report.results import Report
+from model.report.scene_result import SceneResult, judge_scene
+from model.report.showcase import ShownScene, choose
+from scenegen import Dataset, Split
+from scenegen.progress import showing_progress
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A network, the readout of its output, and the scenes on which it is judged."""
+
+    predictor: Predictor
+    readout: Readout
+    dataset: Dataset
+    shards: Shards
+    progress: bool
+
+    @property
+    def fov_deg(self) -> float:
+        """Full horizontal field of view of the camera, degrees."""
+        return self.dataset.preset.camera.horizontal_fov_deg
+
+    @property
+    def thresholds(self) -> tuple[float, ...]:
+        """Mask thresholds of the calibration: the sweep, the run's own and the one in use."""
+        return (*SWEEP, self.predictor.config.readout.mask_threshold, self.readout.mask_threshold)
+
+    def predictions(self, split: Split) -> Iterator[tuple[RowBlock, DepthMap]]:
+        """Batches of a split with their predictions."""
+        rows = self.shards.rows(split)
+        feed = Feed(self.shards, rows, window_rows=0)  # rows are used once, so one piece at a time suffices
+        with showing_progress(len(rows), "scene", split, show=self.progress) as bar:
+            for block in feed.in_order(BATCH):
+                yield block, self.predict(block)
+                bar.update(len(block))
+
+    def predict(self, block: RowBlock) -> DepthMap:
+        """Predictions of rows, from the frequencies of the training."""
+        used = self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
+        prediction = self.predictor.predict(
+            block.complex_phasors()[..., used], self.shards.reference[..., used]
+        )
+        if self.readout == self.predictor.config.readout:
+            return prediction
+        return reread(prediction, self.readout)
+
+
+def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
+    """Metrics of every scene of a split; their point clouds are written to the folder `clouds`.
+
+    Raises
+    ------
+    EvaluationError : no scene of the split is rendered.
+    """
+    sweep = ThresholdSweep(split, bench.thresholds, bench.readout)
+    results: list[SceneResult] = []
+    for block, predictions in bench.predictions(split):
+        sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
+        for index, scene in enumerate(bench.shards.ids(block.rows)):
+            truth_m, mask = block.radial_depth_m[index], block.mask[index]
+            prediction = predictions[index]
+            results.append(judge_scene(bench.dataset.scene(scene), prediction, truth_m, mask))
+            views = {"gt": (truth_m, mask), "pred": (prediction.radial_depth_m, prediction.mask)}
+            _write_clouds(clouds, scene, views, bench.fov_deg)
+    if not results:
+        raise EvaluationError(
+            f"no scene of the {split} split of {bench.dataset.root} could be rendered: "
+            "see night-render status"
+        )
+    location = bench.dataset.preset.hidden_object.location_m
+    return Report(
+        split=split,
+        scenes=tuple(results),
+        prediction=summarise([r.prediction for r in results]),
+        no_object=summarise([r.no_object for r in results]),
+        groups=group_tables(results, (location.x, location.y, location.z)),
+        calibration=_calibration(bench, sweep.curve()),
+    )
+
+
+def _calibration(bench: Bench, judged: ThresholdCurve) -> Calibration:
+    """The sweep of the judged split, and of the validation split if there is one."""
+    validation = judged if judged.split == "validation" else None
+    if validation is None and bench.shards.rows("validation"):
+        sweep = ThresholdSweep("validation", bench.thresholds, bench.readout)
+        for block, predictions in bench.predictions("validation"):
+            sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
+        validation = sweep.curve()
+    run_threshold = bench.predictor.config.readout.mask_threshold
+    return Calibration(run_threshold, bench.readout.mask_threshold, judged, validation)
+
+
+def shown_scenes(bench: Bench, report: Report) -> list[ShownScene]:
+    """The best, the median and the worst scene by accuracy, predicted again."""
+    rows = {scene.id: row for row, scene in enumerate(bench.shards.manifest.scenes)}
+    shown = []
+    for rank, result in choose(report.ranked).items():
+        block = bench.shards.read([rows[result.scene]])
+        prediction = bench.predict(block)[0]
+        truth_m, mask = block.radial_depth_m[0], block.mask[0] > 0
+        shown.append(
+            ShownScene(
+                rank,
+                result,
+                DepthMap(truth_m, mask, _true_phasor(bench, block), bench.readout.frequency_hz),
+                prediction,
+                object_points(truth_m, mask, bench.fov_deg),
+                object_points(prediction.radial_depth_m, prediction.mask, bench.fov_deg),
+            )
+        )
+    return shown
+
+
+def _true_phasor(bench: Bench, block: RowBlock) -> NDArray[np.complexfloating]:
+    """(H, W) true phasor of the first row of a block, at the frequency of the network's output."""
+    frequency_hz = bench.readout.frequency_hz
+    if frequency_hz == bench.shards.manifest.frequencies_hz[0]:
+        return join_components(np.moveaxis(block.target[0], 0, -1))[..., 0]
+    return (block.mask[0] > 0) * phasor_of_return(block.radial_depth_m[0], frequency_hz)
+
+
+def _write_clouds(
+    folder: Path,
+    scene: str,
+    views: Mapping[str, tuple[NDArray[np.float32], NDArray[np.uint8] | NDArray[np.bool_]]],
+    fov_deg: float,
+) -> None:
+    """Write a point cloud for each view of a scene (radial depth and mask) that shows an object."""
+    for name, (radial_depth_m, mask) in views.items():
+        points_m = object_points(radial_depth_m, mask, fov_deg)
+        if len(points_m):
+            write_point_cloud(folder / f"{scene}_{name}.ply", points_m)
+        else:
+            _log.info("scene %s shows no object (%s): no point cloud", scene, name)
