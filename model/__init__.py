@@ -1,7 +1,7 @@
-"""From iToF measurements to depth maps: data, network, training, prediction and evaluation.
+"""Neural network from iToF measurements to depth maps: data, training, prediction, evaluation.
 
-Tensors are (N, C, H, W) float32; numpy arrays keep the axes of `itof`. The names below are loaded when they
-are first used: predicting does not import what training needs.
+Tensors are (N, C, H, W) float32; numpy arrays keep the axis order of `itof`. The names below are imported on
+first use, so prediction does not import the code that only training needs.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""The device that computes, and the number type of its convolutions."""
+"""The computing device, and the number type of the network's convolutions."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from scenegen import NightError
 
 
 class DeviceError(NightError):
-    """A device that this machine does not have."""
+    """The requested device does not exist on this machine."""
 
 
 def choose_device(name: DeviceName) -> torch.device:
-    """The device to compute on.
+    """The device to compute on; ``auto`` takes a GPU if there is one.
 
     Raises
     ------
-    DeviceError : cuda where there is none.
+    DeviceError : ``cuda`` is requested and PyTorch finds no CUDA device.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -27,7 +27,10 @@ def choose_device(name: DeviceName) -> torch.device:
 
 
 def number_type(precision: Precision, device: torch.device) -> torch.dtype:
-    """What the convolutions of a training compute in; ``auto`` is what is fast on `device`."""
+    """Number type of the convolutions in training.
+
+    ``auto`` is bfloat16 if `device` computes in it natively, else float32.
+    """
     if precision == "auto":
         able = torch.cpu.get_capabilities()
         fast = able.get("avx512_bf16") or able.get("amx_bf16")

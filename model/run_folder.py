@@ -1,9 +1,12 @@
-"""The run folder: a contract between training and everything that uses a trained network.
+"""The run folder: the files that training writes and that everything else reads to use a trained network.
 
-``run.json`` (what was trained, on what, how), ``best.safetensors`` (weights of the best validation loss),
-``checkpoint.pt`` (everything needed to go on where it was written, in the middle of an epoch or not;
-loadable with ``weights_only=True``), ``history.csv`` (one
-line an epoch) and ``log/`` (TensorBoard).
+====================  ======================================================================================
+``run.json``          settings, input channels and their constants, and the data that the run was trained on
+``best.safetensors``  weights of the epoch with the smallest validation loss
+``checkpoint.pt``     state from which training resumes, also within an epoch (`model.training.checkpoint`)
+``history.csv``       one line for each epoch
+``log/``              TensorBoard
+====================  ======================================================================================
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ RUN_SCHEMA: Final = 2
 
 
 class RunError(NightError):
-    """A run folder that is missing, foreign, damaged, of another schema, or in the way."""
+    """The run folder is missing, damaged, in use, or not a run of this schema version."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -43,13 +46,14 @@ class RunConfig:
 
     Attributes
     ----------
-    settings : as asked for.
-    inputs : network channels and their constants, fitted on the training scenes.
-    output_frequency_hz : of the phasor that the network predicts: the dataset's first, Hz.
-    geometry : camera and relay wall, which decide the direct return.
-    image_width, image_height : of the images trained on, pixels.
-    preset_sha256, data_sha256 : which preset, and which scenes and renders it was trained on.
-    night_version : of the program that trained it.
+    settings : settings of the training.
+    inputs : input channels and their constants, which were fitted to the training scenes.
+    output_frequency_hz : modulation frequency of the predicted phasor, Hz; the first of the dataset.
+    geometry : camera and relay wall, from which the direct return is computed.
+    image_width, image_height : size of the training images, pixels.
+    preset_sha256 : hash of the dataset's resolved preset.
+    data_sha256 : hash of the scenes, splits and renders of the dataset.
+    night_version : version of the program that trained the network.
     """
 
     settings: TrainSettings
@@ -65,18 +69,18 @@ class RunConfig:
 
     @property
     def readout(self) -> Readout:
-        """How the network's output is read."""
+        """Reads mask and depth from the output of this run's network."""
         settings = self.settings
         return Readout(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone)
 
     def network(self, generator: torch.Generator | None = None) -> UNet:
-        """An untrained network of this run's architecture."""
+        """A network of this run's architecture with initial weights."""
         return UNet(self.inputs.channel_count, self.settings.width, generator=generator)
 
 
 @plain_dataclass(frozen=True)
 class EpochRecord:
-    """One line of ``history.csv``: losses, and validation metrics of radial depth."""
+    """One line of ``history.csv``: losses, and metrics of the radial depth on the validation scenes."""
 
     epoch: int
     learning_rate: float
@@ -96,7 +100,7 @@ def read_config(folder: Path) -> RunConfig:
 
     Raises
     ------
-    RunError : no such folder, not a run, of another schema, or against the contract.
+    RunError : the folder is missing or not a run, or ``run.json`` has another schema version or is invalid.
     """
     file = folder / "run.json"
     if not folder.is_dir():
@@ -123,28 +127,28 @@ def read_config(folder: Path) -> RunConfig:
 
 
 def run_settings(folder: Path) -> dict[str, Any]:
-    """The settings of a run as plain data, as `settings_from_dict` takes them; what a resumed run needs.
+    """The settings of a run as plain data for `settings_from_dict`, with which the run can be resumed.
 
     Raises
     ------
-    RunError : as of `read_config`.
+    RunError : as in `read_config`.
     """
     settings: dict[str, Any] = TypeAdapter(TrainSettings).dump_python(read_config(folder).settings)
     return settings
 
 
 def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
-    """What keeps a run from being resumed under `now`, as a sentence; None when nothing does."""
+    """The first difference that prevents resuming `before` as `now`, in words; None if there is none."""
     may_change = MAY_CHANGE_ON_RESUME
     if before.settings.schedule != "constant":
-        may_change -= {"max_epochs"}  # the learning rate of all epochs depends on it
+        may_change -= {"max_epochs"}  # the learning rate of every epoch depends on it
     for field in fields(TrainSettings):
         old, new = getattr(before.settings, field.name), getattr(now.settings, field.name)
         if field.name not in may_change and old != new:
             why = " (the learning rate's schedule ends with it)" if field.name == "max_epochs" else ""
             return f"{field.name} was {old} and is now {new}{why}"
     if before.data_sha256 != now.data_sha256:
-        return "the dataset is not the one the run began with"
+        return "the dataset is not the one that the run began with"
     return None
 
 
@@ -156,15 +160,17 @@ def save_weights(folder: Path, weights: Mapping[str, Tensor]) -> None:
 
 
 def load_weights(folder: Path, network: UNet) -> None:
-    """Fill `network` from ``best.safetensors``.
+    """Load ``best.safetensors`` into `network`.
 
     Raises
     ------
-    RunError : no weights, a damaged file, or weights of another architecture.
+    RunError : the file is missing or damaged, or its weights belong to another architecture.
     """
     file = folder / "best.safetensors"
     if not file.is_file():
-        raise RunError(f"{folder} has no best.safetensors: no epoch was finished yet, go on with night-train")
+        raise RunError(
+            f"{folder} has no best.safetensors: no epoch was finished; resume it with night-train --resume"
+        )
     try:
         weights = load_file(file)
     except (SafetensorError, OSError) as error:
@@ -173,7 +179,7 @@ def load_weights(folder: Path, network: UNet) -> None:
 
 
 def fill(network: UNet, weights: Mapping[str, Tensor], file: Path) -> None:
-    """Put `weights` into `network`; `RunError` when they belong to another architecture."""
+    """Load `weights` into `network`; `RunError` if they belong to another architecture."""
     expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     found = {name: tuple(tensor.shape) for name, tensor in weights.items()}
     if found != expected:
@@ -195,11 +201,11 @@ def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
 
 
 def read_history(run: Path) -> dict[str, list[float]]:
-    """Columns of a run's ``history.csv``, whichever it has; nothing where there is no such file.
+    """Columns of a run's ``history.csv`` by name; empty if the file does not exist.
 
     Raises
     ------
-    RunError : a damaged file.
+    RunError : the file is damaged.
     """
     file = run / "history.csv"
     try:

@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
+from pydantic.fields import FieldInfo
 
 from scenegen import PresetError, read_settings
-from scenegen.preset import STRICT, Positive, WholeCount, checked
+from scenegen.contract import STRICT, Positive, WholeCount, checked
 
 Channels = Literal["paper", "residual", "paper+residual"]
 CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
@@ -28,72 +29,82 @@ MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoin
 NotNegative = Annotated[float, Field(ge=0)]
 
 
-@dataclass(frozen=True, config=STRICT)
+@dataclass(frozen=True, config={**STRICT, "use_attribute_docstrings": True})
 class TrainSettings:
-    """Everything that decides a training run; the defaults are the paper's unless said otherwise.
+    """Everything that decides a training run.
 
-    Attributes
-    ----------
-    frequencies_hz : of the dataset's, those that the network sees; all when None.
-    channels : network input. Ours is ``paper+residual``: with ``paper`` alone little is learnt (DESIGN 4.9).
-    width : channels of the U-Net's first level.
-    loss : ``mae``, ``mse``, ``mae+iou`` or ``mse+iou``.
-    loss_on : error of the components, or of the depth in metres.
-    alpha : weight of the object in the loss.
-    mask_threshold : amplitude from which on a pixel shows the object (ours).
-    dead_zone : components below this become 0 before mask and depth are taken.
-    learning_rate, batch_size : of Adam; a batch is shared by all processes of a run.
-    schedule : of the learning rate: ``constant``, or down to 0 along half a ``cosine`` by `max_epochs`.
-    warm_up_epochs : in which the learning rate grows from 0 (ours); may be a fraction.
-    clip_norm : largest norm of the gradient, longer ones are scaled down to it; 0 for no limit (ours).
-    ema_decay : of the moving average of the weights that is validated and kept, each step; 0 for none (ours).
-    max_epochs, patience : training ends after so many epochs, or so many without a better validation loss.
-    flip_rows, flip_columns, rotation_deg, translation, amplitude_spread, noise_sigma : see
-        `model.Augmentation`. Only the flip of the rows is a symmetry of the scene and on by default. The
-        paper gives no number for its noise; this one costs nothing (DESIGN 4.12).
-    precision : of the convolutions; the U-Net's first block and head, the loss and the weights are float32.
-        ``auto`` takes bfloat16 on GPUs and processors that compute in it, float32 elsewhere.
-    channels_last : memory order of images in the network, faster on most processors.
-    compile : compile the network with `torch.compile` (needs a C++ compiler; a minute at the start).
-    checkpoint_minutes : between two checkpoints; 0 for one after every batch.
-    seed : of weights, order and augmentation.
-    device : ``auto`` takes cuda where there is one.
-    progress : show a progress bar, where there is a terminal to show it.
+    The defaults are the paper's where it gives a value, except for `channels` (docs/paper.md). Options of
+    ``night-train`` are made of these fields: the text below a field is its description there.
     """
 
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
+    """Network input. With paper alone the network learns little (docs/design.md)."""
     width: WholeCount = 32
+    """Channels of the U-Net's first level."""
     loss: LossName = "mae+iou"
+    """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou)."""
     loss_on: LossTarget = "components"
+    """What the error is taken on: Re and Im of the output, or the depth in metres."""
     alpha: NotNegative = 1 / 7
+    """Weight of object pixels in the error; 1 balances object and background."""
     mask_threshold: Positive = 0.5
+    """Amplitude of the output from which on a pixel shows the object."""
     dead_zone: NotNegative = 0.05
+    """Components of the output below this become 0 before mask and depth are taken."""
     learning_rate: Positive = 1e-4
+    """Step size of Adam."""
     batch_size: WholeCount = 32
+    """Scenes of one training step, shared by all processes of a run."""
     schedule: Schedule = "constant"
+    """Learning rate: constant, or down to 0 along half a cosine by the last epoch."""
     warm_up_epochs: NotNegative = 0.0
+    """Epochs in which the learning rate grows from 0; may be a fraction."""
     clip_norm: NotNegative = 0.0
+    """Largest norm of the gradient; a longer one is scaled down to it. 0: no limit."""
     ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Decay per step of the average of the weights that is validated and kept; 0: no average."""
     max_epochs: WholeCount = 1500
+    """Training ends after so many epochs at the latest."""
     patience: WholeCount = 150
+    """Training ends after so many epochs without a better validation loss."""
     flip_rows: bool = True
+    """Flip half of the images top to bottom: an exact symmetry of the scene."""
     flip_columns: bool = False
+    """Flip half of the images left to right, as the paper does; no symmetry of the scene."""
     rotation_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    """Turn images at random by up to so many degrees; the paper: 180."""
     translation: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Shift images at random by up to this fraction of their size; the paper: 0.2."""
     amplitude_spread: NotNegative = 0.0
+    """Change the exposure at random by a factor of up to 1 + this."""
     noise_sigma: NotNegative = 1e-4
+    """Noise on each component, as a fraction of the amplitude at the first frequency."""
     precision: Precision = "float32"
+    """Number type of the convolutions; auto: bfloat16 where the processor computes in it."""
     channels_last: bool = True
+    """Keep images in channels-last memory order, which is faster on most processors."""
     compile: bool = False
+    """Compile the network with torch.compile: needs a C++ compiler, and a minute at the start."""
     checkpoint_minutes: NotNegative = 10.0
+    """Minutes between two checkpoints; 0: one after every batch."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Seed of the weights, of the order of scenes and of the augmentation."""
     device: DeviceName = "auto"
+    """Where to compute; auto takes a GPU if there is one."""
     progress: bool = True
+    """Show the progress on stderr: a bar in a terminal, a line now and then elsewhere."""
 
     def __post_init__(self) -> None:
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
+
+
+def training_fields() -> dict[str, FieldInfo]:
+    """Type, bounds, default and description of every field of `TrainSettings`, by name."""
+    fields: dict[str, FieldInfo] = TrainSettings.__pydantic_fields__  # type: ignore[attr-defined]
+    return fields
 
 
 def training_preset(name_or_file: str) -> tuple[dict[str, Any], str]:
@@ -129,5 +140,6 @@ def settings_from_dict(data: dict[str, Any], origin: str) -> TrainSettings:
     ------
     PresetError : an unknown key, a wrong type or an impossible value, by name.
     """
-    settings: TrainSettings = checked(TypeAdapter(TrainSettings), json.dumps(data, default=str), origin)
+    text = json.dumps(data, default=str)
+    settings: TrainSettings = checked(TypeAdapter(TrainSettings), text, origin, PresetError)
     return settings

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from itof import direct_phasors, network_channels, phase_per_metre, residual_channels
+from itof import direct_phasors, network_channels, phase_per_metre, residual_channels, split_components
 from model.data.augmentation import Augmentation, Draws, Warp
-from model.data.batches import Batch, BatchMaker, TensorRows
+from model.data.batches import Batch, BatchMaker
+from model.data.rows import RowBlock
 from model.network.channels import InputSpec
 
 HEIGHT, WIDTH = 6, 10
@@ -45,7 +46,7 @@ def draws_of(count: int, seed: int = 0) -> Draws:
     return Draws.of(count, torch.Generator().manual_seed(seed))
 
 
-def measured_rows(count: int = 5) -> tuple[TensorRows, BatchMaker, np.ndarray, np.ndarray]:
+def measured_rows(count: int = 5) -> tuple[RowBlock, BatchMaker, np.ndarray, np.ndarray]:
     """Rows of a wall with hidden light, their maker, and phasors and direct return as numpy arrays."""
     rng = np.random.default_rng(2)
     args = (WIDTH, HEIGHT, 60.0, FREQUENCIES_HZ, FACING_THE_WALL, (0, 0, 0), (0, 0, 2), (0, 0, 1))
@@ -55,9 +56,10 @@ def measured_rows(count: int = 5) -> tuple[TensorRows, BatchMaker, np.ndarray, n
     spec = InputSpec("paper+residual", FREQUENCIES_HZ, 0.3, (1e-3, 2e-3, 3e-3))
     maker = BatchMaker.for_shards(spec, FREQUENCIES_HZ, direct, torch.device("cpu"))
     truth = batch_of(count)
-    rows = TensorRows(
+    components = np.moveaxis(split_components(phasor), -1, 1).astype(np.float32)
+    rows = RowBlock(
         tuple(range(count)),
-        torch.from_numpy(phasor.astype(np.complex64)),
+        torch.from_numpy(components),
         *(truth.target, truth.radial_depth_m, truth.mask.to(torch.uint8)),
     )
     return rows, maker, phasor, direct
@@ -98,7 +100,7 @@ def test_a_flip_of_the_rows_is_that_of_the_measurement_itself():
     np.testing.assert_allclose(direct, direct[::-1], rtol=1e-12)
     always = replace(draws_of(5), coins=torch.ones(5, 2, dtype=torch.bool))
     flipped = Augmentation(flip_rows=True)(rows, maker, always)
-    upside_down = maker.batch(rows, rows.phasor.flip(1))
+    upside_down = maker.batch(rows, rows.complex_phasors().flip(1))
     # The reference is complex64, alike above and below to 1e-7, over the residual's scale of 1e-3.
     torch.testing.assert_close(flipped.channels, upside_down.channels, rtol=0, atol=5e-4)
 
@@ -180,14 +182,15 @@ def test_flip_touches_rows_alone():
 def test_sensor_noise_has_its_deviation_on_every_component_and_is_each_images_own():
     rows, _, _, _ = measured_rows(200)
     sigma, draws = 1e-3, draws_of(200)
-    noise = Augmentation(noise_sigma=sigma).measured(rows.phasor, draws) - rows.phasor
-    relative = torch.view_as_real(noise / rows.phasor[..., :1].abs())  # (N, H, W, F, 2)
+    phasor = rows.complex_phasors()
+    noise = Augmentation(noise_sigma=sigma).measured(phasor, draws) - phasor
+    relative = torch.view_as_real(noise / phasor[..., :1].abs())  # (N, H, W, F, 2)
     # The deviation of n = 12000 values has a relative error of 1 / sqrt(2 n) = 0.65 %; 4.5 of those.
     torch.testing.assert_close(relative.std(dim=(0, 1, 2)), torch.full((2, 2), sigma), rtol=0.03, atol=0)
     assert abs(float((relative[0] * relative[1]).mean())) < 4.5 * sigma**2 / (4 * HEIGHT * WIDTH) ** 0.5
     # An image's noise does not depend on the others of its batch.
-    alone = Augmentation(noise_sigma=sigma).measured(rows.phasor[7:8], draws[7:8])
-    assert torch.equal(alone[0], (rows.phasor + noise)[7])
+    alone = Augmentation(noise_sigma=sigma).measured(phasor[7:8], draws[7:8])
+    assert torch.equal(alone[0], (phasor + noise)[7])
 
 
 def test_another_exposure_changes_the_amplitude_channel_alone():

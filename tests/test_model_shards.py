@@ -353,10 +353,10 @@ def test_foreign_images_are_refused_by_name(dataset):
     path = dataset.render_folder("000000") / "mirrored.exr"
     truth = read_image(path)
     write_image(path, {n: v for n, v in truth.channels.items() if n != "mask.M"}, {})
-    with pytest.raises(ShardError, match=r"000000: .*mirrored.exr is no ground truth \(no channel mask.M"):
+    with pytest.raises(ShardError, match=r"000000: .*mirrored.exr is no depth map \(no channel mask.M"):
         open_shards(dataset)
     write_image(path, {"Y": np.zeros((HEIGHT, WIDTH))}, {})
-    with pytest.raises(ShardError, match=r"000000: .*mirrored.exr holds no phasors"):
+    with pytest.raises(ShardError, match=r"000000: .*mirrored.exr is no depth map \(no channel depth.R"):
         open_shards(dataset)
     write_image(path, truth.channels | {"mask.M": np.full((HEIGHT, WIDTH), 0.5)}, {})
     with pytest.raises(ShardError, match=r"needs mask.M of 0 and 1"):

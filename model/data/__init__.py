@@ -1,6 +1,6 @@
 """From rendered scenes to batches on the computing device.
 
-Here: reading renders, the shards made of them, the order of an epoch, memory or streaming, augmentation, and
-the constants of the input channels. May import `model.network` and the settings; nothing that trains or
-predicts.
+`renders` reads a scene, `shards` and `pieces` store all scenes in a form that is fast to read, `order` and
+`feed` deliver them in batches, `augmentation` changes them, `channel_scaling` fits the constants of the input
+channels. May import `itof`, `scenegen`, `model.network` and `model.settings`; no other wing of `model`.
 """

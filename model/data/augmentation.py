@@ -1,4 +1,4 @@
-"""Augmentation: turned, shifted, flipped and noisy copies of a batch, alike in input and truth."""
+"""Augmentation: random brightness, noise, flips, rotations and shifts of the images of a batch."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from model.settings import TrainSettings
 
 @dataclass(frozen=True)
 class Warp:
-    """Geometric change of every image of a batch: flipped, then turned, then shifted.
+    """Geometric transform of every image of a batch: flip, then rotation, then shift.
 
     Attributes
     ----------
-    flip_rows, flip_columns : (N,) bool.
-    angle_rad : (N,) turn, from the image's right towards its down (clockwise on the screen).
-    shift : (N, 2) move to the right and down, as fractions of width and height.
+    flip_rows, flip_columns : (N,) bool; whether to flip top and bottom, left and right.
+    angle_rad : (N,) rotation from the image's right to its bottom (clockwise on the screen), radians.
+    shift : (N, 2) shift to the right and down, as fractions of width and height.
     """
 
     flip_rows: Tensor
@@ -31,12 +31,12 @@ class Warp:
     shift: Tensor
 
     def __call__(self, batch: Batch) -> Batch:
-        """The warped batch.
+        """The transformed batch; input and ground truth change alike.
 
-        Inputs are interpolated bilinearly; beyond the frame they repeat the edge: the field on the wall is
-        smooth, so that is its simplest continuation, where a reflection would show a second object's light
-        that the truth knows nothing of. Truth is taken from the nearest pixel (between object and
-        background there is no meaningful phasor or depth) and is background beyond the frame.
+        The input is interpolated bilinearly. Outside the image it repeats the edge, because light on the wall
+        varies smoothly; mirrored padding would show the light of a second object that the ground truth does
+        not have. The ground truth is that of the nearest pixel, because a mean of object and background is no
+        meaningful phasor or depth; outside the image it is background.
         """
         truth = torch.cat([batch.target, batch.radial_depth_m[:, None], batch.mask[:, None]], dim=1)
         channels, truth = self._flipped(batch.channels), self._flipped(truth)
@@ -57,10 +57,10 @@ class Warp:
         return images
 
     def _grid(self, images: Tensor) -> Tensor:
-        """(N, H, W, 2) where each output pixel comes from: the inverse turn of the unshifted position.
+        """(N, H, W, 2) source position of each output pixel: shifted back, then rotated back.
 
-        `grid_sample` measures in half widths and half heights, so the turn, which is rigid in pixels, gains
-        the aspect ratio, and a shift by a fraction of the width counts twice.
+        `grid_sample` measures positions in half widths and half heights. Therefore the aspect ratio enters
+        the matrix of the rotation, and a shift by a fraction of the width counts twice.
         """
         height, width = images.shape[-2:]
         cos, sin = self.angle_rad.cos(), self.angle_rad.sin()
@@ -76,15 +76,15 @@ class Warp:
 
 @dataclass(frozen=True)
 class Draws:
-    """What chance decided for each of N images, whatever is switched on.
+    """Random numbers for N images; they do not depend on which changes are switched on.
 
     Attributes
     ----------
-    coins : (N, 2) bool, flips of rows and of columns.
+    coins : (N, 2) bool, for the flips of rows and of columns.
     turn, brightness : (N,) in [-1, 1).
     shift : (N, 2) in [-1, 1).
-    noise_seed : (N,) int64, of each image's own stream of noise: an image's noise does not depend on the
-        batch or the process that it is in.
+    noise_seed : (N,) int64, seed of each image's noise. Because every image has its own, its noise does not
+        depend on its batch or process.
     """
 
     coins: Tensor
@@ -95,8 +95,8 @@ class Draws:
 
     @classmethod
     def of(cls, count: int, generator: torch.Generator) -> Draws:
-        """Draws for `count` images; `generator` lives on the CPU, so all devices see the same changes."""
-        uniform = 2 * torch.rand(count, 4, generator=generator) - 1  # -1..1
+        """Draws for `count` images; `generator` is on the CPU, so that all devices get the same draws."""
+        uniform = 2 * torch.rand(count, 4, generator=generator) - 1
         return cls(
             coins=torch.rand(count, 2, generator=generator) < 0.5,
             turn=uniform[:, 0],
@@ -111,22 +111,23 @@ class Draws:
 
 @dataclass(frozen=True)
 class Augmentation:
-    """What may happen to a training image; every part can be switched off.
+    """Random changes of training images; the defaults change nothing.
 
-    The measurement is changed first (brightness, noise), then its channels and the truth are warped.
+    Brightness and noise change the measurement. The input channels are then computed from it, and `Warp`
+    transforms channels and ground truth.
 
     Attributes
     ----------
-    flip_rows : flip top and bottom, every second image. An exact symmetry (docs/design.md, Symmetry).
-    flip_columns : flip left and right, every second image. Not a symmetry.
-    rotation_deg : turn by up to this many degrees either way. Not a symmetry.
-    translation : shift by up to this fraction of width and height either way. Not a symmetry.
-    amplitude_spread : s, all phasors of an image times one factor from 1 / (1 + s) to 1 + s, even in its
-        logarithm; what another exposure or emitter power would do, so exact.
-    noise_sigma : standard deviation of Gaussian sensor noise on each phasor component, as a fraction of the
-        pixel's amplitude at the first frequency.
+    flip_rows : flip top and bottom with probability 1/2. An exact symmetry (docs/design.md, Symmetry).
+    flip_columns : flip left and right with probability 1/2. Not a symmetry.
+    rotation_deg : rotate by up to this angle in either direction, degrees. Not a symmetry.
+    translation : shift by up to this fraction of width and height in either direction. Not a symmetry.
+    amplitude_spread : s; multiply all phasors of an image by one factor between 1 / (1 + s) and 1 + s,
+        uniform in its logarithm. Exact: another exposure or emitter power has the same effect.
+    noise_sigma : standard deviation of Gaussian noise on each phasor component, as a fraction of the pixel's
+        amplitude at the first frequency.
 
-    Source of the first four: Caligiuri et al. 2024, sec. 5.1.
+    Source: Caligiuri et al. 2024, sec. 5.1 (flips, rotation and translation).
     """
 
     flip_rows: bool = False
@@ -138,11 +139,11 @@ class Augmentation:
 
     @classmethod
     def of(cls, settings: TrainSettings) -> Augmentation:
-        """What the settings of a run ask for."""
+        """The augmentation that the settings of a run specify."""
         return cls(**{field.name: getattr(settings, field.name) for field in fields(cls)})
 
     def warp(self, draws: Draws) -> Warp:
-        """The geometric part, for each image."""
+        """The geometric transform of each image."""
         return Warp(
             flip_rows=draws.coins[:, 0] & self.flip_rows,
             flip_columns=draws.coins[:, 1] & self.flip_columns,
@@ -151,7 +152,7 @@ class Augmentation:
         )
 
     def measured(self, phasor: Tensor, draws: Draws) -> Tensor:
-        """(N, H, W, F) phasors as a noisy sensor with another exposure would have measured them."""
+        """(N, H, W, F) phasors with random brightness and noise."""
         if self.amplitude_spread > 0:
             gain = (1 + self.amplitude_spread) ** draws.brightness  # (N,)
             phasor = phasor * gain.to(phasor.device)[:, None, None, None]
@@ -161,12 +162,12 @@ class Augmentation:
         return phasor
 
     def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
-        """The batch of `rows`, changed as chance decided for each of them."""
+        """The batch of `rows`, each row changed by its draws."""
         return self.warp(draws)(maker.batch(rows, self.measured(maker.measured(rows), draws)))
 
 
 def _noise(like: Tensor, seed: int) -> Tensor:
-    """Complex Gaussian noise of unit variance in *each* component, of the shape and device of `like`."""
+    """Complex Gaussian noise with variance 1 in *each* component, shaped like `like` and on its device."""
     generator = torch.Generator(like.device).manual_seed(seed)
     components = torch.randn(*like.shape, 2, generator=generator, device=like.device)
     return torch.view_as_complex(components)

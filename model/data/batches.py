@@ -1,4 +1,4 @@
-"""Batches: what the network is fed and judged by, made of rows of the shards on the computing device."""
+"""Batches: network input and ground truth on the computing device, made from rows of the shards."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from model.network.channels import InputSpec
 
 @dataclass(frozen=True)
 class Batch:
-    """Network input and ground truth of some scenes, on one device, float32.
+    """Network input and ground truth of N scenes, on one device, float32.
 
     Attributes
     ----------
-    channels : (N, C, H, W) network input.
-    target : (N, 2, H, W) Re and Im of the mirrored scene.
-    radial_depth_m : (N, H, W) true depth, 0 on background.
+    channels : (N, C, H, W) input channels.
+    target : (N, 2, H, W) true Re and Im of the mirrored scene.
+    radial_depth_m : (N, H, W) true radial depth, metres, 0 on background.
     mask : (N, H, W) true mask, 0 or 1.
     """
 
@@ -34,13 +34,13 @@ class Batch:
 
 @dataclass(frozen=True)
 class BatchMaker:
-    """From rows of the shards to network channels, all on one device.
+    """Makes batches from rows of the shards, on one device.
 
     Attributes
     ----------
-    inputs : which channels, how scaled.
-    places : of the network's frequencies among those of the shards.
-    reference : (H, W, F) complex64, direct return of the bare relay wall at the network's frequencies.
+    inputs : input channels and their constants.
+    places : indices of the network's frequencies in those of the shards.
+    reference : (H, W, F) complex64, direct return of the relay wall at the network's frequencies.
     """
 
     inputs: InputSpec
@@ -55,14 +55,14 @@ class BatchMaker:
         reference: NDArray[np.complex128],
         device: torch.device,
     ) -> BatchMaker:
-        """The maker for shards that hold these frequencies and this (H, W, F) direct return."""
+        """The maker for shards with these frequencies, Hz, and this (H, W, F) direct return."""
         places = tuple(inputs.places(frequencies_hz))
         known = torch.from_numpy(reference[..., places].astype(np.complex64))
         return cls(inputs, places, known.to(device))
 
     def upload(self, block: RowBlock) -> RowBlock:
-        """Rows that were read, as tensors on the device, with the phasors of the network's frequencies."""
-        count = block.phasors.shape[1] // 2  # real and imaginary parts
+        """A copy of `block` on the device, as tensors; its phasors are those of the network's frequencies."""
+        count = block.phasors.shape[1] // 2
         chosen = [first + place for first in (0, count) for place in self.places]
         arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": block.phasors[:, chosen]}
         device = self.reference.device
@@ -70,13 +70,16 @@ class BatchMaker:
 
     def measured(self, rows: RowBlock) -> Tensor:
         """(N, H, W, F) complex64 phasors of uploaded rows."""
-        phasor: Tensor = rows.complex_phasors().contiguous()  # of a strided tensor, PyTorch rounds |z| otherwise
+        # PyTorch rounds the amplitudes of a strided tensor differently.
+        phasor: Tensor = rows.complex_phasors().contiguous()
         return phasor
 
     def batch(self, rows: RowBlock, phasor: Tensor | None = None) -> Batch:
-        """Network channels and ground truth of uploaded rows.
+        """Input channels and ground truth of uploaded rows.
 
-        `phasor` (N, H, W, F), where it is given, replaces the measured one.
+        Parameters
+        ----------
+        phasor : (N, H, W, F) complex; replaces the phasors of `rows` if it is given.
         """
         measured = self.measured(rows) if phasor is None else phasor
         return Batch(

@@ -1,4 +1,4 @@
-"""The constants of the input channels: what the training scenes' channels are scaled by."""
+"""Fitting the constants of the input channels to the training scenes."""
 
 from __future__ import annotations
 
@@ -20,18 +20,22 @@ def fit_input_spec(
     rows: Sequence[int],
     frequencies_hz: Sequence[float] | None = None,
 ) -> InputSpec:
-    """Constants of the training scenes `rows`, read one piece of the shards at a time.
+    """The input channels, scaled by the training scenes; reads one piece of the shards at a time.
 
     Parameters
     ----------
-    frequencies_hz : that the network is to see, of those in the shards; all when None.
+    channels : set of channels.
+    rows : rows of the training scenes.
+    frequencies_hz : modulation frequencies of the input, Hz; None for all of the shards.
 
     Raises
     ------
-    ValueError : no scenes, scenes without any light, or a frequency that was not rendered.
+    ValueError : there are no scenes, they hold no light, or a frequency was not rendered.
     """
     if not rows:
-        raise ValueError("the input channels are scaled by the training scenes, and there are none")
+        raise ValueError(
+            "the input channels are scaled by the training scenes, but there are no training scenes"
+        )
     available = shards.manifest.frequencies_hz
     chosen = tuple(frequencies_hz) if frequencies_hz else available
     unscaled = InputSpec(
@@ -47,17 +51,17 @@ def fit_input_spec(
             means.append(residual.mean(axis=(1, 2)))
             squares.append((residual**2).mean(axis=(1, 2)))
     if not np.mean(amplitudes) > 0:
-        raise ValueError(f"the {len(rows)} training scenes hold no light at all: render them again")
+        raise ValueError(f"the {len(rows)} training scenes hold no light: render them again")
     residual_scale: tuple[float, ...] = ()
     if unscaled.uses_residual:
         variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
-        # A channel that never varies carries nothing, whatever it is divided by.
+        # A constant channel carries no information, so its scale does not matter.
         residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
     return InputSpec(channels, chosen, float(np.mean(amplitudes)), residual_scale)
 
 
 def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:
-    """(H, W, F) phasors of one scene after the other."""
+    """(H, W, F) phasors of the scenes, one after another."""
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
         block = shards.read(piece)
         for row in piece:

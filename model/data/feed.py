@@ -1,4 +1,4 @@
-"""Batches of a split, from memory where all of it fits, else streamed from the disk piece by piece."""
+"""Batches of a split: held in memory if all of it fits, else streamed from the disk piece by piece."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from model.data.order import shuffled_windows, windows_in_order, without_first
 from model.data.rows import RowBlock
 from model.data.shards import Shards
 
-MEMORY_PART = 0.25  # of the machine's memory, for the rows of one split
+MEMORY_PART = 0.25  # of the memory of machine or GPU, for the rows of one split
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
@@ -22,17 +22,20 @@ def _as_read(block: RowBlock) -> RowBlock:
 
 
 class Feed:
-    """Rows of a split as batches.
+    """Delivers the rows of a split in batches.
 
-    With `window_rows` for all of them, they are read, prepared (by default left as they are; uploaded to a
-    GPU, say) and held once. Otherwise a thread reads the next
-    window while this one is used, each piece of the shards whole and once an epoch; a batch may take its
-    last rows from the next window.
+    If `window_rows` covers all rows, they are read and prepared once and stay in memory. Otherwise a thread
+    reads the next window while the current one is used. It reads each piece of the shards once per epoch and
+    as a whole. A batch may contain rows of two windows.
 
     Attributes
     ----------
-    rows : of the shards, in ascending order.
-    window_rows : how many of them are held at once; a window is never less than the rows of one piece.
+    rows : rows of the shards, in ascending order.
+    window_rows : rows that are held at once; a window holds the rows of at least one piece.
+
+    Parameters
+    ----------
+    prepare : applied to every block after it is read, for example to copy it to a GPU.
     """
 
     def __init__(
@@ -49,24 +52,25 @@ class Feed:
 
     @property
     def is_resident(self) -> bool:
-        """Whether all rows are held in memory."""
+        """Whether all rows stay in memory."""
         return len(self.rows) <= self.window_rows
 
     def shuffled(self, batch_size: int, generator: torch.Generator, *, skip: int = 0) -> Iterator[RowBlock]:
-        """Every row once, in random order; all that is drawn from `generator` is drawn now.
+        """Batches with every row once, in random order.
 
-        The first `skip` batches are left out and not read: they were used before.
+        `generator` is used during this call only, not while the batches are read. The first `skip` batches
+        are neither read nor delivered; a resumed epoch used them before.
         """
         windows = shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)
         return _batches(self._blocks(without_first(windows, skip * batch_size)), batch_size)
 
     def in_order(self, batch_size: int) -> Iterator[RowBlock]:
-        """Every row once, in ascending order."""
+        """Batches with every row once, in ascending order."""
         windows = windows_in_order(self.rows, self._per_piece, self.window_rows)
         return _batches(self._blocks(windows), batch_size)
 
     def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
-        """Each window's rows in the order wanted, and the block that holds them."""
+        """The rows of each window in order, and a block that holds them."""
         if not self.is_resident:
             yield from _read_ahead(lambda rows: self._prepare(self._shards.read(rows)), windows)
             return
@@ -82,23 +86,29 @@ def window_rows(
     device: torch.device = torch.device("cpu"),  # noqa: B008  (immutable)
     sharers: int = 1,
 ) -> int:
-    """How many of `row_count` rows to hold at once: all, or what half of the memory takes.
+    """Number of rows to hold at once.
 
-    The other half is for the window that is read ahead.
+    All `row_count` rows if they fit into memory, else as many as fit into half of it. The other half is for
+    the window that is read ahead.
 
     Parameters
     ----------
-    memory_bytes : that the rows may take; by default MEMORY_PART of the memory of machine or GPU.
-    device : that they are held on.
-    sharers : processes that share the machine's memory.
+    memory_bytes : memory for the rows; None for MEMORY_PART of the memory of machine or GPU.
+    device : device that holds the rows.
+    sharers : number of processes that share the machine's memory.
     """
     allowed = int(MEMORY_PART * memory_of(device, sharers)) if memory_bytes is None else memory_bytes
     row_bytes = shards.manifest.layout.row_bytes
-    return row_count if row_count * row_bytes <= allowed else allowed // (2 * row_bytes)  # 2 windows
+    windows = 2  # the current one and the next
+    return row_count if row_count * row_bytes <= allowed else allowed // (windows * row_bytes)
 
 
 def memory_of(device: torch.device, sharers: int = 1) -> int:
-    """Bytes of memory of a GPU, or a share of the machine's; on their way to a GPU rows take both."""
+    """Memory in which rows can be held, bytes.
+
+    A process has its share of the machine's memory. Rows on a GPU also pass through that memory, so the limit
+    is the smaller of the two.
+    """
     share = machine_bytes() // sharers
     if device.type == "cpu":
         return share
@@ -106,7 +116,7 @@ def memory_of(device: torch.device, sharers: int = 1) -> int:
 
 
 def machine_bytes() -> int:
-    """Memory of this machine, or of the container it is."""
+    """Memory of this machine or container, bytes."""
     total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     for name in _CONTAINER_LIMITS:
         try:
@@ -119,7 +129,7 @@ def machine_bytes() -> int:
 def _read_ahead(
     read: Callable[[list[int]], RowBlock], windows: Sequence[list[int]]
 ) -> Iterator[tuple[list[int], RowBlock]]:
-    """Windows and their rows; while one is used, a thread reads the next."""
+    """Each window and its block; a thread reads the next block while one is used."""
     if not windows:
         return
     with ThreadPoolExecutor(1, "shards") as pool:
@@ -129,11 +139,11 @@ def _read_ahead(
             if index + 1 < len(windows):
                 ahead = pool.submit(read, windows[index + 1])
             yield window, block
-            del block  # else three windows would be in memory
+            del block  # otherwise three windows would be in memory
 
 
 def _batches(windows: Iterable[tuple[list[int], RowBlock]], size: int) -> Iterator[RowBlock]:
-    """Cut windows into batches of `size` rows; only the last batch of all may have fewer."""
+    """Divide windows into batches of `size` rows; only the last batch may have fewer."""
     begun: RowBlock | None = None
     for order, block in windows:
         start = 0

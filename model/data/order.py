@@ -1,8 +1,8 @@
-"""In what order an epoch goes over the rows, so that a network disk reads pieces whole and in one go.
+"""Order in which an epoch reads the rows: whole pieces of the shards, which suits network disks.
 
-A window is what is in memory at once: whole pieces of the shards, as many as fit, at least one. Rows are
-shuffled within their window and the pieces before they are dealt to windows. When one window takes all
-rows, that is a uniform shuffle. The order depends on the generator and on these arguments alone.
+A window is the set of rows that memory holds at once: as many whole pieces as fit, at least one. The pieces
+are shuffled and distributed to windows, then the rows are shuffled within each window. If one window holds
+all rows, this is a uniform shuffle. The order depends only on the generator and on the arguments.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _Item = TypeVar("_Item")
 
 
 def rows_by_piece(rows: Iterable[int], rows_per_piece: int) -> list[list[int]]:
-    """Rows of each piece that has any, in ascending order of pieces and rows."""
+    """Rows grouped by piece, in ascending order of pieces and rows; pieces without rows are left out."""
     pieces: dict[int, list[int]] = {}
     for row in sorted(rows):
         pieces.setdefault(row // rows_per_piece, []).append(row)
@@ -24,14 +24,14 @@ def rows_by_piece(rows: Iterable[int], rows_per_piece: int) -> list[list[int]]:
 
 
 def windows_in_order(rows: Iterable[int], rows_per_piece: int, window_rows: int) -> list[list[int]]:
-    """All rows in ascending order, cut into windows of at most `window_rows` rows or of one piece."""
+    """Windows of at most `window_rows` rows or of one piece, with all rows in ascending order."""
     return _dealt(rows_by_piece(rows, rows_per_piece), window_rows)
 
 
 def shuffled_windows(
     rows: Sequence[int], rows_per_piece: int, window_rows: int, generator: torch.Generator
 ) -> list[list[int]]:
-    """All rows in random order, cut into windows of at most `window_rows` rows or of one piece."""
+    """Windows of at most `window_rows` rows or of one piece, with all rows in random order."""
     if len(rows) <= window_rows:
         return [_shuffled(rows, generator)]
     pieces = _shuffled(rows_by_piece(rows, rows_per_piece), generator)
@@ -39,7 +39,7 @@ def shuffled_windows(
 
 
 def without_first(windows: Iterable[list[int]], count: int) -> list[list[int]]:
-    """Windows without their first `count` rows; what is left keeps its order."""
+    """The windows without the first `count` rows; the other rows keep their order."""
     left: list[list[int]] = []
     for window in windows:
         kept = window[count:]

@@ -1,4 +1,4 @@
-"""What training needs of one scene's renders, read and checked before it can spoil anything."""
+"""Reading and checking the renders of a scene that training uses."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, FileHashes, N
 
 
 class ShardError(NightError):
-    """Renders that cannot become training data: missing, damaged, not finite or of another size."""
+    """Renders or shards cannot be used: they are missing, damaged, changed, not finite or differ in size."""
 
 
 @dataclass(frozen=True)
 class RenderedScene:
-    """Measurement and ground truth of one scene.
+    """Measurement and ground truth of one scene, (H, W) pixels.
 
     Attributes
     ----------
-    phasor : (H, W, F) complex64, what the camera measures at every frequency.
-    truth : (H, W) ground truth, at the first frequency.
+    phasor : (H, W, F) complex64 measurement at every modulation frequency.
+    truth : (H, W) ground truth; its phasor is at the first frequency.
     """
 
     phasor: NDArray[np.complex64]
@@ -31,17 +31,17 @@ class RenderedScene:
 
     @property
     def size(self) -> str:
-        """Width x height, as people write it."""
+        """Width x height in pixels, as text."""
         height, width = self.truth.mask.shape
         return f"{width}x{height}"
 
 
 def source_files(dataset: Dataset) -> dict[str, Path]:
-    """The files that shards are made of, by their path within the dataset, in scene order.
+    """The files from which shards are made, by their path within the dataset, in scene order.
 
     Raises
     ------
-    ShardError : a scene that has not been rendered.
+    ShardError : a scene is not rendered.
     """
     scenes = dataset.ids()
     files = {
@@ -61,32 +61,32 @@ def source_files(dataset: Dataset) -> dict[str, Path]:
 
 
 def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, str]]:
-    """SHA-256 of the files that shards are made of, by scene and by their path within the dataset.
+    """SHA-256 of the files from which shards are made, by scene and by their path within the dataset.
 
     Raises
     ------
-    ShardError : a scene that has not been rendered, or a file that is not the one its record is of.
-    ImageFileError : such a file that is truncated or no EXR.
+    ShardError : a scene is not rendered, or a file differs from the one in the scene's record.
+    ImageFileError : such a file is truncated or is not an EXR file.
     """
     found: dict[str, dict[str, str]] = {scene: {} for scene in dataset.ids()}
     recorded: dict[str, str] = {}
     for name, path in source_files(dataset).items():
         scene = path.parent.name
         if not found[scene]:
-            record = read_record(path.parent)  # None of captures that night-render did not make
+            record = read_record(path.parent)  # None for measurements from another program
             if record is None and dataset.rendering is not None:
-                read_render(dataset, scene)  # may know better what is wrong
+                read_render(dataset, scene)  # its own error is more specific
                 raise ShardError(
-                    f"scene {scene}: its renders are unfinished or were found bad (there is no render.json): "
-                    f"run night-render {dataset.root} again"
+                    f"scene {scene}: its renders are unfinished or were found damaged (there is no "
+                    f"render.json): run night-render {dataset.root} again"
                 )
             recorded = {file: entry.sha256 for file, entry in record.files.items()} if record else {}
         digest = found[scene][name] = hashes.sha256(path)
         if recorded.get(path.name, digest) != digest:
-            read_render(dataset, scene)  # may know better what is wrong
+            read_render(dataset, scene)  # its own error is more specific
             raise ShardError(
                 f"scene {scene}: {path} is not the file that night-render wrote (its SHA-256 differs from "
-                f"the one in render.json): run night-render {dataset.root} again, which repairs it"
+                f"the one in render.json): run night-render {dataset.root}, which renders it again"
             )
     return found
 
@@ -96,9 +96,9 @@ def read_render(dataset: Dataset, scene: str) -> RenderedScene:
 
     Raises
     ------
-    ImageFileError : a file that is missing, truncated or no EXR.
-    ShardError : a channel that is missing, values that are not finite, other frequencies than the
-        dataset's, or measurement and ground truth of different sizes.
+    ImageFileError : a file is missing, truncated or not an EXR file.
+    ShardError : a channel is missing, a value is not finite, the frequencies are not those of the dataset,
+        or measurement and ground truth differ in size.
     """
     frequencies_hz = dataset.preset.itof.frequencies_hz
     measured_file = dataset.render_folder(scene) / MEASUREMENT_FILE

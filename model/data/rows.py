@@ -1,4 +1,4 @@
-"""Rows of the shards: measurements and ground truth of some scenes."""
+"""Rows of the shards: measurement and ground truth, one row for each scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ARRAYS = ("phasors", "target", "radial_depth_m", "mask")
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Shape of one row: what a scene takes in a shard, beside the scenes before and after it."""
+    """Image size and number of frequencies of a row; they determine its arrays."""
 
     width: int
     height: int
@@ -26,10 +26,10 @@ class RowLayout:
 
     @property
     def arrays(self) -> dict[str, tuple[DTypeLike, tuple[int, ...]]]:
-        """Type and shape of a row in each array; components are real parts, then imaginary parts."""
+        """Number type and shape of a row in each array; phasors hold F real, then F imaginary parts."""
         image = (self.height, self.width)
         return {
-            "phasors": (np.float32, (self.frequency_count + self.frequency_count, *image)),
+            "phasors": (np.float32, (2 * self.frequency_count, *image)),
             "target": (np.float32, (2, *image)),
             "radial_depth_m": (np.float32, image),
             "mask": (np.uint8, image),
@@ -37,26 +37,26 @@ class RowLayout:
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of a row in all arrays together."""
+        """Size of a row in all arrays together, bytes."""
         return sum(np.dtype(t).itemsize * int(np.prod(shape)) for t, shape in self.arrays.values())
 
     def empty(self, rows: Sequence[int]) -> RowBlock:
-        """Room for some rows, not filled yet."""
+        """An uninitialised block for `rows`."""
         arrays = {name: np.empty((len(rows), *shape), dtype) for name, (dtype, shape) in self.arrays.items()}
         return RowBlock(tuple(rows), **arrays)
 
 
 @dataclass(frozen=True)
 class RowBlock:
-    """Some rows of the shards, as numpy arrays in memory or as tensors on a device.
+    """n rows of the shards, as numpy arrays in memory or as tensors on a device.
 
     Attributes
     ----------
     rows : n row numbers, in the order of the arrays.
     phasors : (n, 2F, H, W) float32, F real parts, then F imaginary parts.
     target : (n, 2, H, W) float32, Re and Im of the mirrored scene at the first frequency.
-    radial_depth_m : (n, H, W) float32, 0 on background.
-    mask : (n, H, W) uint8.
+    radial_depth_m : (n, H, W) float32, metres, 0 on background.
+    mask : (n, H, W) uint8, 0 or 1.
     """
 
     rows: tuple[int, ...]
@@ -73,12 +73,12 @@ class RowBlock:
         return join_components(array_namespace(self.phasors).moveaxis(self.phasors, 1, -1))
 
     def take(self, rows: Sequence[int]) -> RowBlock:
-        """A copy of some of the rows, in the order asked for."""
+        """A copy of some rows, in the order of `rows`."""
         chosen = [self._places[row] for row in rows]
         return RowBlock(tuple(rows), **{name: getattr(self, name)[chosen] for name in ARRAYS})
 
     def joined(self, other: RowBlock) -> RowBlock:
-        """These rows and then the other's."""
+        """A block with these rows, followed by the rows of `other`."""
         xp = array_namespace(self.phasors)
         arrays = {name: xp.concat([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
         return RowBlock(self.rows + other.rows, **arrays)

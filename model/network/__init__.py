@@ -1,6 +1,6 @@
-"""The network as a function: what it is fed, its layers, how its output is read, and how it is judged.
+"""The network as a function: input channels, layers, readout, loss and metrics.
 
-Here: input channels (`channels`) and the wall they refer to (`wall_view`), the U-Net, the readout of mask and
-depth, the training loss, the metrics. May import `model.settings`, `itof` and `scenegen`; no other wing of
-`model`.
+`channels` and `wall_view` prepare the input, `unet` is the network, `readout` reads mask and depth from its
+output, `loss` is minimised in training, `metrics` compares depth maps with ground truth. May import `itof`,
+`scenegen` and `model.settings`; no other wing of `model`.
 """

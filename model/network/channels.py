@@ -1,4 +1,4 @@
-"""What the network is fed: which channels, scaled by which constants of the training set."""
+"""Input channels of the network, and the constants that scale them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,28 @@ from scenegen.contract import STRICT, Positive
 
 @dataclass(frozen=True, config=STRICT)
 class InputSpec:
-    """How phasors become network channels; fitted once, kept with the run.
+    """Converts phasors to input channels; its constants are fitted once and stored with the run.
 
-    ``paper`` is [A_0 / scale, Re_f / A_0, Im_f / A_0]: seven channels with three frequencies. ``residual``
-    is what is left when the known phase of the wall's direct return is turned back (five channels with
-    three frequencies), each divided by its standard deviation over the training scenes: it lifts the
-    hidden 0.1-0.3 % to unit variance, without which a network learns little (docs/design.md, Input channels).
+    ``paper``: [A_0 / scale, Re_f / A_0, Im_f / A_0], seven channels for three frequencies. A_0 is the
+    amplitude at the first frequency.
+
+    ``residual``: the channels of `itof.residual_channels`, five for three frequencies. They divide the
+    phasors by the direct return of the relay wall and keep the differences. Each channel is divided by its
+    standard deviation over the training scenes. This gives the hidden 0.1-0.3 % of the signal unit variance;
+    without it a network learns little (docs/design.md, Input channels).
 
     Attributes
     ----------
-    channels : which of the two sets, or both, paper first.
-    frequencies_hz : F modulation frequencies that the network sees, Hz; A_0 belongs to the first.
-    amplitude_scale : mean amplitude at the first frequency over the training scenes, in the phasors' unit.
-    residual_scale : 2F - 1 standard deviations, without unit; empty when `channels` has no residual.
+    channels : one of the two sets, or both, paper first.
+    frequencies_hz : F modulation frequencies of the input, Hz.
+    amplitude_scale : mean A_0 of the training scenes, in the unit of the phasors.
+    residual_scale : 2F - 1 standard deviations, dimensionless; empty if `channels` has no residual.
 
     Raises
     ------
-    ValueError : a number of residual scales that does not fit.
+    ValueError : the number of residual scales does not fit `channels` and `frequencies_hz`.
+
+    Source: ``paper`` from Caligiuri et al. 2024, sec. 4.2; ``residual`` is ours.
     """
 
     channels: Channels
@@ -51,28 +56,28 @@ class InputSpec:
 
     @property
     def uses_residual(self) -> bool:
-        """Whether the direct return is needed."""
+        """Whether `apply` needs the direct return."""
         return "residual" in self.channels
 
     @property
     def channel_count(self) -> int:
-        """C, the network's input channels."""
+        """C, the number of input channels."""
         return (self._paper_count if "paper" in self.channels else 0) + len(self.residual_scale)
 
     @property
     def _paper_count(self) -> int:
-        return 1 + 2 * len(self.frequencies_hz)  # A_0, and two components a frequency
+        return 1 + 2 * len(self.frequencies_hz)
 
     @property
     def _residual_count(self) -> int:
-        return 2 * len(self.frequencies_hz) - 1  # two components a frequency, less Re r_0
+        return 2 * len(self.frequencies_hz) - 1
 
     def places(self, available_hz: Sequence[float]) -> list[int]:
-        """Where the frequencies stand among those of a measurement.
+        """Indices of `frequencies_hz` in the frequencies of a measurement.
 
         Raises
         ------
-        ValueError : one of them was not measured.
+        ValueError : a frequency was not measured.
         """
         missing = [f for f in self.frequencies_hz if f not in available_hz]
         if missing:
@@ -80,16 +85,17 @@ class InputSpec:
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
     def apply(self, phasor: Any, reference: Any = None) -> Any:
-        """Network channels (..., C, H, W) of phasors (..., H, W, F), of the same library and device.
+        """Input channels (..., C, H, W) of phasors (..., H, W, F).
 
         Parameters
         ----------
-        phasor : array of numpy, torch or another library of the array API, at `frequencies_hz`.
-        reference : (H, W, F) direct return of the bare relay wall; needed by the residual channels alone.
+        phasor : (..., H, W, F) complex at `frequencies_hz`, from numpy, torch or another library of the
+            array API. The channels are an array of the same library on the same device.
+        reference : (H, W, F) complex direct return of the relay wall; only the residual channels need it.
 
         Raises
         ------
-        ValueError : another number of frequencies, or no reference where one is needed.
+        ValueError : the number of frequencies differs, or the reference is missing.
         """
         z = phasor if is_array_api_obj(phasor) else np.asarray(phasor)
         if z.shape[-1] != len(self.frequencies_hz):

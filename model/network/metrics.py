@@ -1,4 +1,4 @@
-"""How good a predicted depth map is: errors and overlaps of one image, and their statistics."""
+"""Metrics of predicted depth maps: error and overlap for one image, and statistics over images."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class ImageMetrics:
-    """Metrics of one image. Depth is radial (along the ray), and 0 on background.
+    """Metrics of one image. Depth is radial (along the ray) and 0 on background.
 
     Attributes
     ----------
-    depth_mae_m : mean |error| over *all* pixels, metres.
-    object_mae_m : mean |error| where both prediction and truth show the object, metres; None where no
-        pixel does.
-    object_iou, background_iou : intersection over union of the masks; two empty masks agree (1).
+    depth_mae_m : mean absolute error of depth over *all* pixels, metres.
+    object_mae_m : mean absolute error over the pixels that show the object in both prediction and ground
+        truth, metres; None if there is no such pixel.
+    object_iou, background_iou : intersection over union of the masks; 1 if both are empty.
     """
 
     depth_mae_m: float
@@ -31,17 +31,17 @@ class ImageMetrics:
     @property
     def miou(self) -> float:
         """Mean of object IoU and background IoU."""
-        return (self.object_iou + self.background_iou) / 2  # the mean of two, not a path length
+        return (self.object_iou + self.background_iou) / 2
 
     @property
     def accuracy(self) -> float:
-        """The paper's accuracy: mean of (1 - MAE in metres) and mIoU."""
-        return (1 - self.depth_mae_m + self.miou) / 2  # the mean of two, not a path length
+        """Accuracy as the paper defines it: mean of (1 - MAE in metres) and mIoU."""
+        return (1 - self.depth_mae_m + self.miou) / 2
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Average, standard deviation (of the population), smallest, largest, and of how many values."""
+    """Mean, population standard deviation, minimum and maximum of `count` values."""
 
     mean: float
     std: float
@@ -52,7 +52,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Summary:
-    """Statistics over images; `object_mae_m` counts only images where it is defined, None where none is."""
+    """Statistics over images; `object_mae_m` covers the images that have one, and is None if none has."""
 
     depth_mae_m: Statistics
     object_mae_m: Statistics | None
@@ -64,19 +64,21 @@ class Summary:
 def image_metrics(
     radial_depth_pred_m: ArrayLike, mask_pred: ArrayLike, radial_depth_gt_m: ArrayLike, mask_gt: ArrayLike
 ) -> ImageMetrics:
-    """Metrics of one (H, W) prediction against its truth; depths in metres, 0 on background.
+    """Metrics of one (H, W) prediction; depths in metres, 0 on background.
 
     Raises
     ------
-    ValueError : images of different sizes, or a depth that is not finite.
+    ValueError : the images differ in size, or a depth is not finite.
 
-    Source: Caligiuri et al. 2024, sec. 5.2.
+    Source: Caligiuri et al. 2024, sec. 6.
     """
     depth_pred, depth_gt = (np.asarray(d, dtype=np.float64) for d in (radial_depth_pred_m, radial_depth_gt_m))
     pred, truth = (np.asarray(m).astype(bool) for m in (mask_pred, mask_gt))
     shapes = {depth_pred.shape, depth_gt.shape, pred.shape, truth.shape}
     if len(shapes) != 1 or len(depth_gt.shape) != 2:
-        raise ValueError(f"prediction and truth must be images of one size, got shapes {sorted(shapes)}")
+        raise ValueError(
+            f"prediction and ground truth must be images of one size, got shapes {sorted(shapes)}"
+        )
     error = np.abs(depth_pred - depth_gt)  # (H, W)
     if not np.isfinite(error).all():
         raise ValueError("a depth map holds NaN or infinite values")
@@ -90,9 +92,9 @@ def image_metrics(
 
 
 def mask_iou(pred: Any, truth: Any) -> Any:
-    """(...) intersection over union of (..., H, W) bool masks; two empty masks agree (1).
+    """(...) intersection over union of (..., H, W) bool masks; 1 if both are empty.
 
-    Of numpy's arrays or another library's of the array API: torch's masks are judged on their device.
+    The masks are arrays of numpy, torch or another library of the array API.
     """
     xp = array_namespace(pred, truth)
     union = xp.sum(xp.astype(pred | truth, xp.float64), axis=(-2, -1))  # (...)
@@ -101,7 +103,7 @@ def mask_iou(pred: Any, truth: Any) -> Any:
 
 
 def no_object_metrics(radial_depth_gt_m: ArrayLike, mask_gt: ArrayLike) -> ImageMetrics:
-    """The baseline: metrics of predicting "no object" everywhere."""
+    """Metrics of the baseline, which predicts "no object" in every pixel."""
     truth = np.asarray(radial_depth_gt_m)
     return image_metrics(np.zeros(truth.shape), np.zeros(truth.shape, bool), truth, mask_gt)
 
@@ -111,7 +113,7 @@ def summarise(metrics: Sequence[ImageMetrics]) -> Summary:
 
     Raises
     ------
-    ValueError : no images.
+    ValueError : `metrics` is empty.
     """
     if not metrics:
         raise ValueError("there are no images to summarise")

@@ -1,4 +1,4 @@
-"""The network: a U-Net of image channels to the phasor of the mirrored scene."""
+"""The network: a U-Net from input channels to the phasor of the mirrored scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-LEVELS = 5  # encoder levels; four halvings, so sizes are padded to multiples of 16
+LEVELS = 5  # of the encoder; four poolings, so image sizes are padded to multiples of 16
 OUTPUT_CHANNELS = 2  # Re and Im at the first frequency
 HEAD_CHANNELS = (16, 8, 4, OUTPUT_CHANNELS)
 
@@ -16,26 +16,33 @@ HEAD_CHANNELS = (16, 8, 4, OUTPUT_CHANNELS)
 class UNet(nn.Module):
     """U-Net of the paper: any number of input channels, any image size.
 
-    Encoder of widths w, 2w, 4w, 8w, 16w (w = 32 in the paper): two 3x3 convolutions with ReLU each, then a
-    2x2 max-pool. Decoder: a 2x2 transposed convolution, the skip from the encoder, two 3x3 convolutions
-    with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions 16-8-4-2, ReLU between all of
-    them and none after the last: Re and Im have both signs.
+    *Layers.* Encoder: levels of width w, 2w, 4w, 8w and 16w (w = 32 in the paper), each with two 3x3
+    convolutions and ReLU, and a 2x2 max pooling between levels. Decoder: on each level a 2x2 transposed
+    convolution, concatenation with the encoder's output of that level (skip connection), two 3x3 convolutions
+    with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions to 8, 4 and 2 channels, with
+    ReLU between them. There is no ReLU after the last one, because Re and Im have both signs.
 
-    An image size that 16 does not divide is padded to the next multiple, evenly on both sides so that
-    flips stay flips, by repeating the edge (zeros would be a false edge in a smooth field), and the output
-    is cropped back.
+    *Padding.* An image size that is not a multiple of 16 is padded to the next multiple and the output is
+    cropped. The padding is divided as evenly as possible between the two sides, so that a flip of the image
+    is a flip of the padded image. It repeats the edge, because zeros would add an edge to a smooth field.
 
-    Weights start as He's normal initialisation with zero biases: without normalisation layers, PyTorch's
-    default loses a factor of about 2.4 in scale at each of 22 layers and the output starts as a constant.
+    *Initial weights.* Normal distribution by He et al., biases zero. There are no normalisation layers: with
+    PyTorch's default the scale falls by a factor of about 2.4 in each of 22 layers, and the initial output
+    is constant over the image.
 
-    Under `torch.autocast` the first block and the head stay float32: a half float cannot tell the hidden
-    0.2 % in an input channel (docs/design.md, Number types), nor the last few thousandths of a phase.
+    *Number types.* Under `torch.autocast` the first block and the head compute in float32. A half float can
+    represent neither the hidden 0.2 % of an input channel (docs/design.md, Number types) nor phase
+    differences of a few thousandths of a radian.
 
     Parameters
     ----------
     input_channels : C, at least 1.
     width : channels of the first level, at least 1; 32 gives 7,763,270 parameters with 7 input channels.
-    generator : source of the initial weights; the global one when None.
+    generator : random generator of the initial weights; None for PyTorch's global one.
+
+    Raises
+    ------
+    ValueError : `input_channels` or `width` is below 1.
 
     Source: Caligiuri et al. 2024, sec. 4.2; He et al., "Delving deep into rectifiers", ICCV 2015.
     """
@@ -57,10 +64,7 @@ class UNet(nn.Module):
             nn.ConvTranspose2d(deep, shallow, kernel_size=2, stride=2)
             for deep, shallow in pairwise(deepest_first)
         )
-        self.decoder = nn.ModuleList(
-            _two_convolutions(2 * shallow, shallow)  # upsampled and skip side by side
-            for shallow in deepest_first[1:]
-        )
+        self.decoder = nn.ModuleList(_two_convolutions(2 * shallow, shallow) for shallow in deepest_first[1:])
         head: list[nn.Module] = [nn.Conv2d(width, HEAD_CHANNELS[0], kernel_size=1)]
         for before, after in pairwise(HEAD_CHANNELS):
             head += [nn.ReLU(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
@@ -68,7 +72,7 @@ class UNet(nn.Module):
         self._initialise(generator)
 
     def forward(self, channels: Tensor) -> Tensor:
-        """(N, C, H, W) network channels to (N, 2, H, W): Re and Im of the mirrored scene."""
+        """(N, 2, H, W) Re and Im of the mirrored scene, from (N, C, H, W) input channels."""
         height, width = channels.shape[-2:]
         left, right, top, bottom = (*_padding(width), *_padding(height))
         x = functional.pad(channels, (left, right, top, bottom), mode="replicate")
@@ -79,7 +83,7 @@ class UNet(nn.Module):
         for block in deeper:
             x = block(functional.max_pool2d(x, 2))
             skips.append(x)
-        skips.pop()  # the deepest level is x itself
+        skips.pop()  # the output of the deepest level is x itself
         for upsample, block in zip(self.upsampling, self.decoder, strict=True):
             x = block(torch.cat([skips.pop(), upsample(x)], dim=1))
         with torch.autocast(x.device.type, enabled=False):
@@ -94,12 +98,12 @@ class UNet(nn.Module):
     def _initialise(self, generator: torch.Generator | None) -> None:
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
-                # Each output of a transposed convolution with stride 2 sees one weight per input channel.
+                # An output of a transposed convolution with stride 2 depends on one weight per input channel.
                 fan_in = module.in_channels * (
                     1 if isinstance(module, nn.ConvTranspose2d) else module.kernel_size[0] ** 2
                 )
                 is_linear = isinstance(module, nn.ConvTranspose2d) or module is self.head[-1]
-                gain = 1.0 if is_linear else 2.0  # ReLU halves the power, He et al. eq. 10
+                gain = 1.0 if is_linear else 2.0  # ReLU halves the power (He et al., eq. 10)
                 nn.init.normal_(module.weight, std=(gain / fan_in) ** 0.5, generator=generator)
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
@@ -115,7 +119,7 @@ def _two_convolutions(before: int, after: int) -> nn.Sequential:
 
 
 def _padding(size: int) -> tuple[int, int]:
-    """Pixels to add before and after, so that the deepest level divides evenly."""
+    """Pixels to add before and after an axis of `size` pixels, so that every pooling divides it evenly."""
     missing = -size % 2 ** (LEVELS - 1)
-    before = missing // 2  # half on each side, not a path length
+    before = missing // 2
     return before, missing - before

@@ -1,4 +1,4 @@
-"""What camera and relay wall a network was trained for: enough to compute the wall's direct return again."""
+"""Camera and relay wall of a dataset: the data from which the wall's direct return is computed."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from scenegen.contract import STRICT, FieldOfView, Vector
 
 @dataclass(frozen=True, config=STRICT)
 class WallView:
-    """A co-located camera and projector before an infinite diffuse wall, in the world's axes.
+    """A camera with co-located projector in front of an infinite diffuse wall, in world axes.
 
     Attributes
     ----------
     horizontal_fov_deg : full horizontal field of view, degrees; the pixels are square.
-    camera_axes : rows are the camera's right, down and forward in the world.
-    camera_location_m, wall_point_m : where the camera is, and any point of the wall, metres.
-    wall_normal : towards the room, unit length.
+    camera_axes : unit vectors to the camera's right, down and forward.
+    camera_location_m : position of the camera, metres.
+    wall_point_m : any point of the wall, metres.
+    wall_normal : unit normal of the wall, towards the room.
     """
 
     horizontal_fov_deg: FieldOfView
@@ -34,7 +35,7 @@ class WallView:
     def direct_phasors(
         self, width: int, height: int, frequencies_hz: Sequence[float]
     ) -> NDArray[np.complex128]:
-        """(H, W, F) direct return of the bare wall, as `itof.direct_phasors` has it."""
+        """(H, W, F) direct return of the wall without any object (`itof.direct_phasors`)."""
         return direct_phasors(
             width,
             height,
@@ -48,7 +49,7 @@ class WallView:
 
 
 def wall_view(dataset: Dataset) -> WallView:
-    """View of a dataset's relay wall; camera and wall are the same in every scene."""
+    """Camera and relay wall of a dataset, read from its first scene; they are the same in every scene."""
     scene = dataset.scene(dataset.ids()[0])
     right, down, forward = (_vector(axis) for axis in camera_axes(scene.camera))
     return WallView(

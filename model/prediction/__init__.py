@@ -1,6 +1,6 @@
 """Using a trained network: on arrays, on measurement files, as an ONNX file.
 
-Here: the predictor, readers of measurement files (.exr, .npz, .h5), and the depth maps, pictures and point
-clouds that are written. May import `model.network`, the run folder and the settings; neither shards nor
-training.
+`predictor` is the network as a function; the other modules read measurement files (.exr, .npz, .h5) and write
+depth maps, pictures, point clouds and ONNX files. May import `itof`, `scenegen`, `model.network`, the run
+folder, the device and the settings; neither `model.data` nor `model.training`.
 """

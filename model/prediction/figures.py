@@ -1,4 +1,4 @@
-"""The paper's picture of a scene: ground truth against prediction."""
+"""Picture of a predicted depth map, and the parts that it shares with other pictures of depth maps."""
 
 from __future__ import annotations
 
@@ -9,83 +9,83 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from itof import DepthMap
-from model.network.metrics import ImageMetrics
 from scenegen import whole_file
 
-BACKGROUND = "0.88"  # grey of pixels without object in a depth map
-LEAST_DEPTH_SPAN_M = 0.4  # of the colours, else a flat object's noise would look like relief
+PANELS = ("Re", "Im", "radial depth")
+BACKGROUND = "0.88"  # grey of the pixels without object
+LEAST_DEPTH_SPAN_M = 0.4  # with a smaller colour range, the noise of a flat object would look like relief
 DOTS_PER_INCH = 150
 
 
-def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics: ImageMetrics) -> Figure:
-    """Ground truth above prediction, in three columns: Re, Im and radial depth.
+def prediction_figure(title: str, one: DepthMap) -> Figure:
+    """Re, Im and radial depth of one (H, W) prediction.
 
-    Both rows share their colours: Re and Im in [-1, 1]; depth over the range of the true object, a
-    prediction beyond it is drawn in the colour of the nearest end. MAE and mIoU stand above.
+    The outline of the mask is drawn over Re and Im; depth is drawn inside the mask only.
     """
-    height, width = truth.mask.shape
-    figure = Figure(figsize=(10.5, 1.2 + 2 * 3.0 * height / width), layout="constrained")
+    height, width = one.mask.shape
+    figure = Figure(figsize=(10.5, 1.6 + 3.0 * height / width), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 3)
-    near_m, far_m = depth_range(truth, prediction)
-    for row, (name, view) in enumerate((("ground truth", truth), ("prediction", prediction))):
-        components = [
-            axes[row, column].imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
-            for column, part in enumerate((view.phasor.real, view.phasor.imag))
-        ]
-        depth_m = np.where(view.mask, view.radial_depth_m, np.nan)  # NaN is drawn as background
-        depth = axes[row, 2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
-        axes[row, 0].set_ylabel(name, fontsize=11)
-        _finish_row(axes[row], top=row == 0)
-    _colour_bars(figure, axes, components[1], depth)
-    figure.suptitle(f"{title}\n{describe(metrics)}", fontsize=11)
+    panels = figure.subplots(1, 3)
+    components = []
+    for axes, part in zip(panels[:2], (one.phasor.real, one.phasor.imag), strict=True):
+        components.append(axes.imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest"))
+        _outline(axes, one.mask)
+    near_m, far_m = depth_range(one)
+    depth_m = np.where(one.mask, one.radial_depth_m, np.nan)  # NaN is drawn as background
+    depth = panels[2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
+    finish_panels(panels, titles=True)
+    figure.colorbar(components[1], ax=list(panels[:2]), location="bottom", aspect=40, pad=0.03)
+    bar = figure.colorbar(depth, ax=[panels[2]], location="bottom", aspect=20, pad=0.03, label="m")
+    bar.locator = MaxNLocator(4)
+    shown = int(np.count_nonzero(one.mask))
+    said = f"{shown} of {width * height} pixels show an object" if shown else "no pixel shows an object"
+    figure.suptitle(f"{plain(title)}\n{said}", fontsize=11)
     return figure
 
 
-def describe(metrics: ImageMetrics) -> str:
-    """MAE and mIoU in words, as they stand in a figure."""
-    on_object = "no overlap" if metrics.object_mae_m is None else f"{100 * metrics.object_mae_m:.2f} cm"
-    return (
-        f"MAE {100 * metrics.depth_mae_m:.2f} cm over all pixels, {on_object} on the object, "
-        f"mIoU {metrics.miou:.3f}"
-    )
-
-
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a PNG, whole or not at all."""
+    """Write a PNG file, whole or not at all."""
     with whole_file(path) as partial:
         figure.savefig(partial, format="png", dpi=DOTS_PER_INCH)
 
 
 def depth_range(*views: DepthMap) -> tuple[float, float]:
-    """Colour range of depth, metres: of the object in the first view that shows one."""
+    """Range of the depth colours, metres: that of the object in the first view that has one."""
     for view in views:
         if view.mask.any():
             depths_m = view.radial_depth_m[view.mask]
             near_m, far_m = float(depths_m.min()), float(depths_m.max())
-            margin_m = max(0.1 * (far_m - near_m), (LEAST_DEPTH_SPAN_M - (far_m - near_m)) / 2)  # at each end
+            margin_m = max(0.1 * (far_m - near_m), (LEAST_DEPTH_SPAN_M - (far_m - near_m)) / 2)
             return near_m - margin_m, far_m + margin_m
     return 0.0, 1.0
 
 
-def _finish_row(row: Sequence[Axes], *, top: bool) -> None:
-    for axes, name in zip(row, ("Re", "Im", "radial depth"), strict=True):
+def finish_panels(row: Sequence[Axes], *, titles: bool) -> None:
+    """Remove the ticks of the three panels of a row, colour their background, add their titles."""
+    for axes, name in zip(row, PANELS, strict=True):
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_facecolor(BACKGROUND)
-        if top:
+        if titles:
             axes.set_title(name, fontsize=11)
 
 
-def _colour_bars(figure: Figure, axes: NDArray[np.object_], component: AxesImage, depth: AxesImage) -> None:
-    """One bar for Re and Im together, one for depth, under the columns."""
-    figure.colorbar(component, ax=list(axes[:, :2].ravel()), location="bottom", aspect=40, pad=0.03)
-    bar = figure.colorbar(
-        depth, ax=list(axes[:, 2]), location="bottom", aspect=20, pad=0.03, extend="both", label="m"
-    )
-    bar.locator = MaxNLocator(4)
+def plain(text: str) -> str:
+    """Text for a picture; matplotlib would read a ``$`` in it as the start of a formula."""
+    return text.replace("$", r"\$")
+
+
+def _outline(axes: Axes, mask: NDArray[np.bool_]) -> None:
+    """Draw the edges between the pixels inside and outside a (H, W) mask."""
+    padded = np.pad(mask, 1)  # gives an object at the border of the image an outline there
+    rows, columns = np.nonzero(padded[1:, :] != padded[:-1, :])  # edges below padded row `rows`
+    axes.hlines(rows - 0.5, columns - 1.5, columns - 0.5, colors="black", linewidth=0.8)
+    rows, columns = np.nonzero(padded[:, 1:] != padded[:, :-1])
+    axes.vlines(columns - 0.5, rows - 1.5, rows - 0.5, colors="black", linewidth=0.8)
+    height, width = mask.shape
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)

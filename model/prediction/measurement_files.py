@@ -1,13 +1,13 @@
-"""Reading measurements: the phasors of one's own camera, or of ``night-render``.
+"""Reading measurement files: phasors from a real camera or from ``night-render``.
 
 ==================  ========================================================================================
-``.exr``            one image, laid out like ``itof.exr``: channels ``itof.<f>MHz.Re`` and ``.Im``
-``.npz``            arrays ``phasors``, ``frequencies_hz`` and, if there is one, ``reference``
-``.h5``, ``.hdf5``  data sets of these names
+``.exr``            one image with the channels of ``itof.exr``: ``itof.<f>MHz.Re`` and ``itof.<f>MHz.Im``
+``.npz``            arrays ``phasors``, ``frequencies_hz`` and optionally ``reference``
+``.h5``, ``.hdf5``  data sets with the same names
 ==================  ========================================================================================
 
-``phasors`` is (H, W, F) or (N, H, W, F) complex, ``frequencies_hz`` (F,) in Hz, ``reference`` (H, W, F)
-complex. Nothing in these files is executed: pickled arrays are refused.
+``phasors`` is (H, W, F) or (N, H, W, F) complex, ``frequencies_hz`` is (F,) in Hz, ``reference`` is (H, W, F)
+complex. Reading a file never executes anything in it: pickled arrays are refused.
 """
 
 from __future__ import annotations
@@ -28,31 +28,35 @@ from itof import ImageFileError, read_image
 from scenegen import NightError
 
 ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
-_SAME_FREQUENCY = 1e-6  # relative; turns the phase of 20 m optical path by 8e-6 rad at 20 MHz
-
-
-# RuntimeError: an encrypted archive or an unknown compression; TokenError: a damaged header.
+_SAME_FREQUENCY = 1e-6  # relative tolerance; changes the phase of 20 m optical path at 20 MHz by 8e-6 rad
+# RuntimeError: the archive is encrypted or its compression is unknown. TokenError: a header is damaged.
 _NPZ_ERRORS = (
-    *(ValueError, OSError, EOFError, KeyError, RuntimeError),
-    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
 )
 
 
 class MeasurementError(NightError):
-    """A measurement file that is missing, damaged, foreign or not as its layout promises."""
+    """A measurement file is missing or damaged, or its arrays are not as required."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Phasors of one camera, and where they are from.
+    """Contents of a measurement file.
 
     Attributes
     ----------
     path : the file.
     phasors : (N, H, W, F) complex.
     frequencies_hz : F modulation frequencies, Hz, in the order of the phasors.
-    reference : (H, W, F) complex, one capture of the empty corner; None where there is none.
-    in_training_unit : whether the phasors have the unit of rendered scenes; a camera's own is arbitrary.
+    reference : (H, W, F) complex capture of the empty corner; None if the file has none.
+    in_training_unit : whether the phasors have the unit of rendered scenes; cameras have other units.
     """
 
     path: Path
@@ -62,11 +66,11 @@ class Measurement:
     in_training_unit: bool
 
     def at(self, frequencies_hz: Sequence[float]) -> Measurement:
-        """The same at these frequencies, in this order; others are left out.
+        """The measurement with these frequencies only, Hz, in this order.
 
         Raises
         ------
-        MeasurementError : a frequency that was not measured.
+        MeasurementError : a frequency was not measured.
         """
         found = np.array(self.frequencies_hz)  # (F,)
         nearest = [int(np.argmin(np.abs(found - f))) for f in frequencies_hz]
@@ -76,7 +80,8 @@ class Measurement:
             if not np.isclose(found[index], f, rtol=_SAME_FREQUENCY, atol=0)
         ]
         if missing:
-            hint = "; frequencies_hz is in Hz, not MHz" if found.max() < 1e4 else ""  # no camera is so slow
+            is_megahertz = found.max() < 1e4  # no camera modulates below 10 kHz
+            hint = "; frequencies_hz is in Hz, not MHz" if is_megahertz else ""
             raise MeasurementError(
                 f"{self.path} holds {_megahertz(found)}, the network also needs {_megahertz(missing)}{hint}"
             )
@@ -87,12 +92,12 @@ class Measurement:
 
 
 def read_measurement(path: Path) -> Measurement:
-    """Read a measurement file by its ending.
+    """Read a measurement file; its ending tells the format.
 
     Raises
     ------
-    MeasurementError : an unknown ending; a file that is missing, damaged or foreign; an array that is missing
-        or has the wrong type or shape; values that are not finite.
+    MeasurementError : the ending is unknown; the file is missing, damaged or of another format; an array is
+        missing or has the wrong type or shape; a value is not finite.
     """
     readers = {".exr": _read_exr, ".npz": _read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5}
     reader = readers.get(path.suffix.lower())
@@ -130,7 +135,7 @@ def _read_npz(path: Path) -> Measurement:
             reason = f"it is damaged or no .npz archive ({error})"
         raise MeasurementError(f"{path} cannot be read: {reason}") from None
     if names is None:
-        raise MeasurementError(f"{path} is one bare array, no .npz archive: write it with numpy.savez")
+        raise MeasurementError(f"{path} is one bare array, not an .npz archive: write it with numpy.savez")
     return _measurement(path, found, names)
 
 
@@ -149,7 +154,7 @@ def _read_hdf5(path: Path) -> Measurement:
 
 
 def _measurement(path: Path, found: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Measurement:
-    """Check the arrays of a file that has `names`."""
+    """The measurement of the arrays `found`, after checks; `names` are all names in the file."""
     for name in ARRAYS[:2]:
         if name not in found:
             there = ", ".join(sorted(map(str, names))) or "nothing"
@@ -203,7 +208,7 @@ def _refuse_other_axes(
 
 
 def _refuse_not_finite(path: Path, name: str, images: NDArray[Any]) -> None:
-    """Refuse (N, H, W, F) images with NaN or infinite values, naming the first."""
+    """Refuse (N, H, W, F) images with NaN or infinite values; the message names the first one."""
     for index, image in enumerate(images):
         bad = int(np.count_nonzero(~np.isfinite(image)))
         if bad:

@@ -1,4 +1,4 @@
-"""A trained network as an ONNX file, for programs without PyTorch."""
+"""Export of a trained network as an ONNX file, for programs without PyTorch."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from scenegen import NightError, whole_file
 
 INPUT: Final = "channels"
 OUTPUT: Final = "components"
-METADATA: Final = "night.run"  # key under which the run's config stands as JSON
+METADATA: Final = "night.run"  # key of the metadata; its value is ``run.json``
 NEEDED: Final = ("onnx", "onnxruntime", "onnxscript")
-# Images in a batch, and how strong its channels are. A trained network may answer one kind of image with
-# dead units throughout, which would compare nothing.
+# Batches of the check: number of images, amplitude of their channels. There are several amplitudes because
+# the units of a trained network may all be inactive at one of them; a comparison of zeros proves nothing.
 CHECKED: Final = ((1, 1.0), (3, 1.0), (1, 10.0), (1, 100.0))
-COARSE: Final = 8  # pixels from one random value to the next: hidden light is smooth, white noise is no light
-# The same sums in another order differ by as much as either differs from the exact ones; ten times that
-# leaves room for the extremes among all pixels.
+COARSE: Final = 8  # pixels between random values; hidden light varies smoothly, so white noise is no test
+# Two orders of the same summation differ by about their rounding errors. The factor 10 allows for the largest
+# difference among all pixels.
 ALLOWANCE: Final = 10.0
 
 
 class ExportError(NightError):
-    """A file name that is no ONNX file's, a package that is missing, or a network that came out different."""
+    """Export failed: the file name is wrong, a package is missing, or the exported network differs."""
 
 
 @dataclass(frozen=True)
 class OnnxCheck:
-    """How well ONNX Runtime reproduces the network, on smooth random channels; of the worst batch.
+    """Comparison of ONNX Runtime with PyTorch on smooth random channels; the worst of several batches.
 
     Attributes
     ----------
-    largest_difference : between outputs, whose truth has amplitude 0 or 1.
-    tolerance : the difference from which on the export is refused.
-    largest_output : magnitude that outputs of that batch reach.
+    largest_difference : largest difference of the outputs; the ground truth has amplitude 0 or 1.
+    tolerance : largest difference that rounding explains.
+    largest_output : largest magnitude of the outputs.
     """
 
     largest_difference: float
@@ -55,31 +55,36 @@ class OnnxCheck:
     largest_output: float
 
     def sentence(self, out: Path) -> str:
-        """The outcome for people to read; `out` is the file."""
+        """The outcome as text; `out` is the file."""
         return (
-            f"{out}: differs from PyTorch by at most {self.largest_difference:.2g} where outputs reach "
-            f"{self.largest_output:.2g} ({self.tolerance:.2g} is rounding)"
+            f"{out}: differs from PyTorch by at most {self.largest_difference:.2g}, with outputs up to "
+            f"{self.largest_output:.2g} (rounding explains up to {self.tolerance:.2g})"
         )
 
 
 def export_onnx(run: Path, out: Path, *, seed: int = 0) -> OnnxCheck:
-    """Write the network of `run` as the ONNX file `out`, whole or not at all; an older one is replaced.
+    """Write the network of `run` as the ONNX file `out`, whole or not at all.
 
-    Input ``channels`` (N, C, H, W) float32, as `InputSpec.apply` makes them; output ``components``
-    (N, 2, H, W) float32, Re and Im of the mirrored scene. N is free, H and W are those of the training. The
-    metadata's ``night.run`` is the run's ``run.json``: channels, their constants, camera and wall.
+    The input ``channels`` (N, C, H, W) float32 are those of `InputSpec.apply`. The output ``components``
+    (N, 2, H, W) float32 is Re and Im of the mirrored scene. N is free, H and W are those of the training. The
+    metadata ``night.run`` contains ``run.json``: channels, their constants, camera and wall.
 
-    Before it gets its name the file is run by ONNX Runtime on smooth random channels, weak and strong, and
-    compared with PyTorch.
+    Before the file gets its name, ONNX Runtime computes outputs of smooth random channels with it, and they
+    are compared with those of PyTorch.
+
+    Parameters
+    ----------
+    run : run folder of the trained network.
+    seed : seed of the random channels.
 
     Raises
     ------
-    ExportError : an `out` that does not end in .onnx or is a folder; packages that are missing; outputs that
-        differ by more than rounding.
-    RunError : an unusable run.
+    ExportError : `out` does not end in .onnx or is a folder; a package is missing; the outputs differ by more
+        than rounding.
+    RunError : the run cannot be used.
     """
     if out.suffix != ".onnx" or out.is_dir():
-        raise ExportError(f"{out} is no name for an ONNX file: give a file that ends in .onnx")
+        raise ExportError(f"{out} cannot be an ONNX file: give a file that ends in .onnx")
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise ExportError(
@@ -100,10 +105,11 @@ def export_onnx(run: Path, out: Path, *, seed: int = 0) -> OnnxCheck:
 
 
 def _onnx_model(network: UNet, config: RunConfig) -> Any:
-    """The network as an `onnx.ModelProto` with the run's config in its metadata."""
+    """The network as an `onnx.ModelProto` with the run's configuration in its metadata."""
     import onnx
 
-    shape = (2, config.inputs.channel_count, config.image_height, config.image_width)  # 2: N stays free
+    # The exporter would treat N = 1 as a fixed size, so the example has two images.
+    shape = (2, config.inputs.channel_count, config.image_height, config.image_width)
     with _quiet():
         program = torch.onnx.export(
             network,
@@ -118,7 +124,7 @@ def _onnx_model(network: UNet, config: RunConfig) -> Any:
         raise ExportError("PyTorch made no ONNX model of this network")
     model = program.model_proto
     for node in model.graph.node:
-        del node.metadata_props[:]  # where each line of this program lies on this machine
+        del node.metadata_props[:]  # paths and source lines of this machine
     entry = model.metadata_props.add()
     entry.key, entry.value = METADATA, TypeAdapter(RunConfig).dump_json(config).decode()
     onnx.checker.check_model(model)
@@ -126,11 +132,11 @@ def _onnx_model(network: UNet, config: RunConfig) -> Any:
 
 
 def _compare(file: Path, network: UNet, config: RunConfig, seed: int) -> OnnxCheck:
-    """Differences over all checked batch sizes; the tolerance is PyTorch's own error against float64."""
+    """The worst check of all batches. The tolerance follows from PyTorch's own error against float64."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # errors alone
+    options.log_severity_level = 3  # errors only
     session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     exact = copy.deepcopy(network).double()
     generator = torch.Generator().manual_seed(seed)
@@ -141,16 +147,16 @@ def _compare(file: Path, network: UNet, config: RunConfig, seed: int) -> OnnxChe
         truth = _run(exact, channels.double())
         theirs = np.asarray(session.run([OUTPUT], {INPUT: channels.numpy()})[0])
         largest = float(np.abs(truth).max())
-        one_rounding = float(np.finfo(np.float32).eps) * max(largest, 1.0)  # the truth has amplitude 1
+        one_rounding = float(np.finfo(np.float32).eps) * max(largest, 1.0)  # the ground truth has amplitude 1
         rounding = max(float(np.abs(ours - truth).max()), one_rounding)
         checks.append(OnnxCheck(float(np.abs(theirs - ours).max()), ALLOWANCE * rounding, largest))
     return max(checks, key=lambda check: check.largest_difference / check.tolerance)
 
 
 def _smooth_channels(count: int, config: RunConfig, generator: torch.Generator) -> torch.Tensor:
-    """(count, C, H, W) random fields that change over COARSE pixels."""
+    """(count, C, H, W) random fields, interpolated between values COARSE pixels apart."""
     size = (config.image_height, config.image_width)
-    coarse = [2 + pixels // COARSE for pixels in size]  # a value at either border
+    coarse = [2 + pixels // COARSE for pixels in size]  # with a value at both borders
     values = torch.randn(count, config.inputs.channel_count, *coarse, generator=generator)
     return torch.nn.functional.interpolate(values, size=size, mode="bilinear", align_corners=True)
 
@@ -163,7 +169,7 @@ def _run(network: UNet, channels: torch.Tensor) -> NDArray[np.floating[Any]]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the exporter's logs, and what PyTorch deprecates of its own, off the terminal."""
+    """Suppress the exporter's log and the deprecation warnings about PyTorch's own code."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

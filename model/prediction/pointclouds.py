@@ -1,7 +1,7 @@
-"""Depth maps as point clouds.
+"""Point clouds of depth maps.
 
-Points stand in *camera axes*: x to the right, y down, z forward, metres, the camera at the origin. They show
-the mirrored scene, as the camera would see it in a relay wall that were a mirror.
+Points are in *camera axes*: x to the right, y down, z forward, metres, camera at the origin. They show the
+mirrored scene: the hidden object as if the relay wall were a mirror.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from scenegen import whole_file
 def object_points(
     radial_depth_m: ArrayLike, mask: ArrayLike, horizontal_fov_deg: float
 ) -> NDArray[np.float32]:
-    """(n, 3) points, in camera axes, of the pixels of a (H, W) depth map that show the object."""
+    """(n, 3) points in camera axes, metres, of the pixels of a (H, W) depth map that show the object."""
     points = points_from_radial(radial_depth_m, horizontal_fov_deg)  # (H, W, 3)
     return points[np.asarray(mask).astype(bool)].astype(np.float32)
 
 
 def write_point_cloud(path: Path, points_m: NDArray[np.float32]) -> None:
-    """Write (n, 3) points as a binary PLY, whole or not at all.
+    """Write (n, 3) points as a binary PLY file, whole or not at all.
 
     Raises
     ------
-    ValueError : no points; such a file would not open in most viewers.
+    ValueError : there are no points; most viewers cannot open such a file.
     """
     if not len(points_m):
         raise ValueError(f"{path} would hold no points")
-    with whole_file(path, sweep=False) as partial:  # one of many in a new folder
+    with whole_file(path, sweep=False) as partial:  # many files in a new folder: nothing to sweep
         partial.write_bytes(trimesh.PointCloud(points_m).export(file_type="ply"))

@@ -1,4 +1,4 @@
-"""Prediction on measurement files: depth maps as EXR, pictures and point clouds, in a folder of their own."""
+"""Prediction on a measurement file: a folder with depth maps (EXR), pictures and point clouds."""
 
 from __future__ import annotations
 
@@ -9,14 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from itof import DepthMap
-from model.prediction.figures import BACKGROUND, depth_range, write_figure
+from model.prediction.figures import prediction_figure, write_figure
 from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
 from model.prediction.pointclouds import object_points, write_point_cloud
 from model.prediction.predictor import BATCH, Predictor, load
@@ -29,19 +24,19 @@ RECORD: Final = "prediction.json"
 
 
 class PredictionError(NightError):
-    """A folder that holds something else than an earlier prediction."""
+    """The output folder contains other files than those of an earlier prediction."""
 
 
 @dataclass(frozen=True)
 class PredictedImage:
-    """What was written of one image.
+    """Files of one predicted image, and what it shows.
 
     Attributes
     ----------
-    name : of its files, without ending.
-    object_pixels : how many show the hidden object.
-    median_radial_depth_m : of these, metres; None where there are none.
-    files : names, in the prediction's folder.
+    name : name of its files, without ending.
+    object_pixels : number of pixels that show the hidden object.
+    median_radial_depth_m : median radial depth of these pixels, metres; None if there are none.
+    files : names of its files in the output folder.
     """
 
     name: str
@@ -51,7 +46,7 @@ class PredictedImage:
 
     @property
     def sentence(self) -> str:
-        """The outcome, for people."""
+        """The outcome as text."""
         if self.median_radial_depth_m is None:
             return f"image {self.name}: no pixel shows an object, so it has no point cloud"
         return (
@@ -71,22 +66,28 @@ def predict_file(
 ) -> tuple[PredictedImage, ...]:
     """Predict every image of a measurement file and write the folder `out`.
 
-    For image 000000: ``000000.exr`` (laid out like ``mirrored.exr``: ``depth.R``, ``mask.M`` and the phasor),
-    ``000000.png`` (to look at), ``000000.ply`` (points, none where no pixel shows an object); and
-    ``prediction.json``, which says what was predicted by which run. The folder appears whole or not at all;
-    an earlier prediction there is replaced.
+    ===================  =====================================================================================
+    ``000000.exr``       depth map of image 0: ``depth.R``, ``mask.M`` and phasor, as in ``mirrored.exr``
+    ``000000.png``       picture of the depth map
+    ``000000.ply``       point cloud; missing if no pixel shows an object
+    ``prediction.json``  run, measurement and files of the prediction
+    ===================  =====================================================================================
+
+    The folder is written whole or not at all and replaces an earlier prediction.
 
     Parameters
     ----------
-    rescale : as of `Predictor.predict`; by default only for files whose unit is a camera's own.
+    run : run folder of the trained network.
+    rescale : as in `Predictor.predict`; None rescales unless the file is in the unit of rendered scenes.
 
     Raises
     ------
-    MeasurementError : a file that cannot be read, or whose images or frequencies the run was not trained for.
-    PredictionError : an `out` that holds anything but an earlier prediction.
-    RunError, DeviceError : an unusable run or device.
+    MeasurementError : the file cannot be read, or the run was trained for another image size or for
+        frequencies that the file lacks.
+    PredictionError : `out` contains anything but an earlier prediction.
+    RunError, DeviceError : the run or the device cannot be used.
     """
-    out = out.resolve()  # a whole folder needs a name, which "." has not
+    out = out.resolve()  # `whole_folder` needs a name; "." has none
     _refuse_other_contents(out)
     predictor = load(run, device)
     measured = read_measurement(measurement_file).at(predictor.config.inputs.frequencies_hz)
@@ -110,7 +111,7 @@ def predict_file(
 def _predict_all(
     predictor: Predictor, measured: Measurement, rescale: bool, folder: Path, progress: bool
 ) -> tuple[PredictedImage, ...]:
-    """Predict a batch at a time and write what comes out."""
+    """Predict the images batch by batch and write their files."""
     images = []
     attributes = {
         "generator": f"night-eval predict {version('night-nlos')}",
@@ -123,7 +124,7 @@ def _predict_all(
             try:
                 predictions = predictor.predict(batch, measured.reference, rescale=rescale)
             except ValueError as error:
-                raise MeasurementError(f"{measured.path}, images from {start} on: {error}") from None
+                raise MeasurementError(f"{measured.path}, batch from image {start}: {error}") from None
             for index in range(len(batch)):
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
@@ -135,7 +136,7 @@ def _predict_all(
 def _write(
     folder: Path, name: str, one: DepthMap, predictor: Predictor, attributes: dict[str, str]
 ) -> PredictedImage:
-    """Depth map, picture and point cloud of one (H, W) prediction."""
+    """Write depth map, picture and point cloud of one (H, W) prediction."""
     files = [f"{name}.exr", f"{name}.png"]
     one.write(folder / files[0], attributes)
     write_figure(folder / files[1], prediction_figure(f"{attributes['measurement']}, image {name}", one))
@@ -148,59 +149,18 @@ def _write(
     return PredictedImage(name, len(points_m), median_m, tuple(files))
 
 
-def prediction_figure(title: str, one: DepthMap) -> Figure:
-    """Re, Im and radial depth of one (H, W) prediction: the mask outlined in two, and alone in the third."""
-    height, width = one.mask.shape
-    figure = Figure(figsize=(10.5, 1.6 + 3.0 * height / width), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 3)
-    near_m, far_m = depth_range(one)
-    component = None
-    for axes, part in zip(panels, (one.phasor.real, one.phasor.imag), strict=False):
-        component = axes.imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
-        _outline(axes, one.mask)
-    depth_m = np.where(one.mask, one.radial_depth_m, np.nan)  # NaN is drawn as background
-    depth = panels[2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
-    for axes, name in zip(panels, ("Re", "Im", "radial depth"), strict=True):
-        axes.set_xticks([])
-        axes.set_yticks([])
-        axes.set_facecolor(BACKGROUND)
-        axes.set_title(name, fontsize=11)
-    if component is not None:
-        figure.colorbar(component, ax=list(panels[:2]), location="bottom", aspect=40, pad=0.03)
-    bar = figure.colorbar(depth, ax=[panels[2]], location="bottom", aspect=20, pad=0.03, label="m")
-    bar.locator = MaxNLocator(4)
-    shown = int(np.count_nonzero(one.mask))
-    said = f"{shown} of {width * height} pixels show an object" if shown else "no pixel shows an object"
-    plain = title.replace("$", r"\$")  # a file's name is no formula
-    figure.suptitle(f"{plain}\n{said}", fontsize=11)
-    return figure
-
-
-def _outline(axes: Axes, mask: NDArray[np.bool_]) -> None:
-    """Draw the edges between pixels inside and outside of a (H, W) mask."""
-    padded = np.pad(mask, 1)  # an object at the image's border has an outline there too
-    rows, columns = np.nonzero(padded[1:, :] != padded[:-1, :])  # edges below padded row `rows`
-    axes.hlines(rows - 0.5, columns - 1.5, columns - 0.5, colors="black", linewidth=0.8)
-    rows, columns = np.nonzero(padded[:, 1:] != padded[:, :-1])
-    axes.vlines(columns - 0.5, rows - 1.5, rows - 0.5, colors="black", linewidth=0.8)
-    height, width = mask.shape
-    axes.set_xlim(-0.5, width - 0.5)
-    axes.set_ylim(height - 0.5, -0.5)
-
-
 def _refuse_other_size(predictor: Predictor, measured: Measurement, run: Path) -> None:
     config = predictor.config
     height, width = measured.phasors.shape[1:3]
     if (width, height) != (config.image_width, config.image_height):
         raise MeasurementError(
             f"{measured.path} holds images of {width}x{height} pixels, {run} was trained on "
-            f"{config.image_width}x{config.image_height}: bring them to that size, or train a run at theirs"
+            f"{config.image_width}x{config.image_height}: scale the images, or train a run at their size"
         )
 
 
 def _refuse_other_contents(out: Path) -> None:
-    """Refuse to replace anything but an empty folder or an earlier prediction."""
+    """Refuse an output folder that contains anything but an earlier prediction."""
     if not out.exists():
         return
     if not out.is_dir():
@@ -213,7 +173,7 @@ def _refuse_other_contents(out: Path) -> None:
 
 
 def _files_of_record(record: Path) -> set[str]:
-    """Names of the files that an earlier prediction wrote; none when `record` is not one of ours."""
+    """Names of the files of an earlier prediction; empty if `record` is not its ``prediction.json``."""
     try:
         content = json.loads(record.read_text(encoding="utf-8"))
         if content["schema_version"] != PREDICTION_SCHEMA:

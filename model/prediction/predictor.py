@@ -1,4 +1,4 @@
-"""A trained network as a function from measurement to depth map."""
+"""A trained network as a function from measurements to depth maps."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from model.network.unet import UNet
 from model.run_folder import RunConfig, load_weights, read_config
 from model.settings import DeviceName
 
-BATCH = 16  # images at a time; QVGA at full width takes about 1 GB
+BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """A trained network and all it needs to be used; made by `load`."""
+    """A trained network with its configuration, on a device; made by `load`."""
 
     config: RunConfig
     network: UNet
@@ -31,7 +31,7 @@ class Predictor:
 
     @cached_property
     def reference(self) -> NDArray[np.complex64]:
-        """(H, W, F) direct return of the relay wall the run was trained with, as precise as the shards."""
+        """(H, W, F) direct return of the run's relay wall, with the precision of the shards."""
         config = self.config
         size = (config.image_width, config.image_height)
         return config.geometry.direct_phasors(*size, config.inputs.frequencies_hz).astype(np.complex64)
@@ -39,25 +39,26 @@ class Predictor:
     def predict(
         self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
     ) -> DepthMap:
-        """Depth maps of measurements: the mirrored scene, as if the relay wall were a mirror.
+        """Depth maps of measurements, of the hidden object as if the relay wall were a mirror.
 
         Parameters
         ----------
-        phasors : (H, W, F) or (N, H, W, F) complex, at the frequencies `config.inputs.frequencies_hz` in
-            their order, of the size trained on.
-        reference : (H, W, F) complex, what the camera sees of the empty corner, up to a real factor; by
-            default the relay wall's direct return, computed from the run's own camera and wall.
-        rescale : take the phasors' unit as unknown: bring every image's mean amplitude at the first
-            frequency to the mean of the training scenes. Without it they are in the unit of those.
+        phasors : (H, W, F) or (N, H, W, F) complex at the frequencies `config.inputs.frequencies_hz`, in this
+            order. H and W are those of the training.
+        reference : (H, W, F) complex measurement of the empty corner, up to a real factor; None for the
+            direct return that is computed from the camera and the relay wall of the run.
+        rescale : multiply each image so that its mean amplitude at the first frequency is the mean of the
+            training scenes. Use it if the phasors have another unit than the training scenes.
 
         Returns
         -------
-        (H, W) or (N, H, W) radial depth float32, mask bool, phasor complex64 at `config.output_frequency_hz`.
+        Depth map with (H, W) or (N, H, W) radial depth float32 in metres, mask bool and phasor complex64 at
+        `config.output_frequency_hz`.
 
         Raises
         ------
-        ValueError : other shapes or frequencies than trained on, values that are not finite, or an image
-            without light that is to be rescaled.
+        ValueError : shape or number of frequencies differ from the training, a value is not finite, or an
+            image without light is to be rescaled.
         """
         z = np.asarray(phasors)
         self._refuse_other_images(z)
@@ -69,7 +70,9 @@ class Predictor:
             self._predict_some(self._channels(images[start : start + BATCH], known))
             for start in range(0, len(images), BATCH)
         ]
-        radial_depth_m, mask, phasor = (np.concatenate(each) for each in zip(*parts, strict=True))  # (N, H, W)
+        radial_depth_m, mask, phasor = (
+            np.concatenate(each) for each in zip(*parts, strict=True)
+        )  # (N, H, W)
         predicted = DepthMap(radial_depth_m, mask, phasor, self.config.readout.frequency_hz)
         return predicted[0] if z.ndim == 3 else predicted
 
@@ -83,13 +86,13 @@ class Predictor:
             raise ValueError(f"expected phasors of shape (H, W, F) or (N, H, W, F), got {z.shape}")
         if z.shape[-3:] != self._image_shape or not z.size:
             raise ValueError(
-                f"expected phasors of shape {self._image_shape} (H, W, F), as the network was trained on, "
-                f"or some of them, got {z.shape}"
+                f"expected phasors of shape {self._image_shape} (H, W, F), as in the training, "
+                f"or several such images, got {z.shape}"
             )
         _refuse_not_phasors(z, "the measurement")
 
     def _known(self, reference: ArrayLike | None) -> NDArray[np.generic] | None:
-        """The reference to use; None where the channels need none, which saves computing it."""
+        """The reference to use; None if the channels need none, so that it is not computed."""
         if reference is None:
             return self.reference if self.config.inputs.uses_residual else None
         known = np.asarray(reference)
@@ -101,7 +104,7 @@ class Predictor:
     def _channels(
         self, images: NDArray[np.generic], reference: NDArray[np.generic] | None
     ) -> NDArray[np.float32]:
-        with np.errstate(over="ignore"):  # seen below
+        with np.errstate(over="ignore"):  # the check below finds overflows
             channels = self.config.inputs.apply(images, reference)  # (N, C, H, W)
         if not np.isfinite(channels).all():
             raise ValueError(
@@ -111,7 +114,7 @@ class Predictor:
         return channels
 
     def _gain(self, images: NDArray[np.generic]) -> NDArray[np.float64]:
-        """(N, 1, 1, 1) factors that bring (N, H, W, F) phasors to the training scenes' amplitude."""
+        """(N, 1, 1, 1) factors that give (N, H, W, F) phasors the mean amplitude of the training scenes."""
         mean = amplitude(images[..., 0]).mean(axis=(1, 2), dtype=np.float64)  # (N,)
         if not (mean > 0).all():
             dark = int(np.flatnonzero(~(mean > 0))[0])
@@ -140,7 +143,7 @@ def _refuse_not_phasors(z: NDArray[np.generic], what: str) -> None:
 def read_output(
     output: Tensor, readout: Readout
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
-    """Radial depth, mask and phasor, each (N, H, W), of network outputs (N, 2, H, W)."""
+    """Radial depth in metres, mask and phasor, each (N, H, W), of network outputs (N, 2, H, W)."""
     output = output.detach()
     components = np.moveaxis(readout.components(output).cpu().numpy(), 1, -1)  # (N, H, W, 2)
     phasor = join_components(components)[..., 0].astype(np.complex64)  # (N, H, W)
@@ -148,12 +151,12 @@ def read_output(
 
 
 def load(run: str | Path, device: DeviceName = "auto") -> Predictor:
-    """A trained network, from its run folder, with the weights of its best epoch.
+    """Load a trained network from its run folder, with the weights of its best epoch.
 
     Raises
     ------
-    RunError : no run, damaged, of another schema or another architecture.
-    DeviceError : a device that is not there.
+    RunError : the folder is missing or not a run, or its files are damaged or do not fit together.
+    DeviceError : the device does not exist.
     """
     folder = Path(run)
     config = read_config(folder)

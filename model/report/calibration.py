@@ -1,4 +1,4 @@
-"""Calibration: what scenes would score under other mask thresholds, from one pass through the network."""
+"""Calibration: metrics of a split for many mask thresholds, from one pass through the network."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SWEEP = tuple(round(0.05 * step, 2) for step in range(1, 20))  # 0.05 .. 0.95
 
 @dataclass(frozen=True)
 class ThresholdPoint:
-    """Averages over the scenes of a split under one mask threshold; MAE over all pixels, metres."""
+    """Averages over the scenes of a split for one mask threshold; MAE over all pixels, metres."""
 
     threshold: float
     miou: float
@@ -29,29 +29,31 @@ class ThresholdPoint:
 
 @dataclass(frozen=True)
 class ThresholdCurve:
-    """How the scenes of a split score as the mask threshold rises."""
+    """Averages over the scenes of a split for ascending mask thresholds."""
 
     split: Split
     points: tuple[ThresholdPoint, ...]
 
     @property
     def best(self) -> ThresholdPoint:
-        """The point of highest mIoU; of several the one of lowest MAE, and then of lowest threshold."""
+        """The point with the highest mIoU; among equals the lowest MAE, then the lowest threshold."""
         return max(self.points, key=lambda p: (p.miou, -p.depth_mae_m, -p.threshold))
 
     def at(self, threshold: float) -> ThresholdPoint:
-        """The point at a threshold that was swept; KeyError at any other."""
+        """The point of a threshold; `KeyError` if the sweep does not contain it."""
         return {p.threshold: p for p in self.points}[threshold]
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The sweep of the judged split and of the validation split, where there is one.
+    """Sweeps of the judged split and of the validation split.
 
     Attributes
     ----------
-    run_threshold : of the run's own settings.
-    judged_threshold : with which the scenes were judged; the same unless another was asked for.
+    run_threshold : mask threshold in the settings of the run.
+    judged_threshold : mask threshold of the evaluation; the run's own unless the user gave another.
+    judged : sweep of the judged split.
+    validation : sweep of the validation split; None if the dataset has none.
     """
 
     run_threshold: float
@@ -61,20 +63,21 @@ class Calibration:
 
     @property
     def judged_with(self) -> str:
-        """Which threshold the numbers were made with, as words."""
+        """The threshold of the evaluation as text."""
         of_run = (
             "the run's own"
             if self.judged_threshold == self.run_threshold
-            else (f"the run's own is {self.run_threshold:g}")
+            else f"the run's own is {self.run_threshold:g}"
         )
         return f"judged with mask threshold {self.judged_threshold:g} ({of_run})"
 
 
 class ThresholdSweep:
-    """Collects images of one split and says how they score at every threshold.
+    """Metrics of the images of a split at every threshold.
 
-    Each pixel is looked at once: it is in the mask of every threshold up to its amplitude, so counts and
-    errors by amplitude, summed up from either end, are those of all thresholds together.
+    A pixel belongs to the mask of every threshold up to its amplitude. Pixels and errors are therefore
+    counted once, by the number of thresholds that a pixel reaches; cumulative sums of these histograms give
+    the metrics at all thresholds.
     """
 
     def __init__(self, split: Split, thresholds: Sequence[float], readout: Readout) -> None:
@@ -88,19 +91,17 @@ class ThresholdSweep:
         radial_depth_gt_m: NDArray[np.float32],
         mask_gt: NDArray[np.uint8],
     ) -> None:
-        """Take in images, all (N, H, W): predicted phasors, true radial depth in metres and true mask."""
+        """Add images (N, H, W): predicted phasors, true radial depth in metres, true mask."""
         output = output_of(phasor)  # (N, 2, H, W)
         everywhere, _, _ = read_output(output, replace(self._readout, mask_threshold=0.0))
-        size = (
-            self._readout.components(output).norm(dim=1).cpu().numpy()
-        )  # (N, H, W), as the readout takes it
+        amplitudes = self._readout.components(output).norm(dim=1).cpu().numpy()  # (N, H, W)
         for depth_m, amplitude, truth_m, truth in zip(
-            everywhere, size, radial_depth_gt_m, mask_gt > 0, strict=True
+            everywhere, amplitudes, radial_depth_gt_m, mask_gt > 0, strict=True
         ):
             self._add_image(depth_m, amplitude, truth_m.astype(np.float64), truth)
 
     def curve(self) -> ThresholdCurve:
-        """Averages over all images, by ascending threshold."""
+        """Averages over all images for ascending thresholds."""
         miou, mae_m = np.mean(self._miou, axis=0), np.mean(self._depth_mae_m, axis=0)  # (T,)
         rows = zip(self.thresholds, miou, mae_m, strict=True)
         return ThresholdCurve(self.split, tuple(ThresholdPoint(t, float(i), float(m)) for t, i, m in rows))
@@ -113,16 +114,16 @@ class ThresholdSweep:
         truth: NDArray[np.bool_],
     ) -> None:
         levels = np.asarray(self.thresholds, dtype=amplitude.dtype)  # (T,)
-        passed = np.searchsorted(levels, amplitude.ravel(), side="right")  # thresholds each pixel reaches
+        reached = np.searchsorted(levels, amplitude.ravel(), side="right")  # thresholds up to the amplitude
 
         def total(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-            sums = np.bincount(passed, weights.ravel(), minlength=len(levels) + 1)  # (T + 1,)
+            sums = np.bincount(reached, weights.ravel(), minlength=len(levels) + 1)  # (T + 1,)
             return sums.astype(np.float64)
 
         shown = _from_above(total(np.ones(truth.shape)))
         hit = _from_above(total(truth.astype(np.float64)))
         error_m = _from_above(total(np.abs(depth_m - truth_m)))
-        missed_m = np.cumsum(total(np.abs(truth_m)))[:-1]  # what is predicted as background has depth 0
+        missed_m = np.cumsum(total(np.abs(truth_m)))[:-1]  # the predicted background has depth 0
         union = shown + truth.sum() - hit
         object_iou = np.divide(hit, union, out=np.ones_like(hit), where=union > 0)
         neither, apart = truth.size - union, truth.size - hit
@@ -132,15 +133,15 @@ class ThresholdSweep:
 
 
 def reread(prediction: DepthMap, readout: Readout) -> DepthMap:
-    """Read predictions (N, H, W) again, with another mask threshold; their phasors are what they were."""
+    """Depth maps (N, H, W) of the same network outputs, read with another readout."""
     return DepthMap(*read_output(output_of(prediction.phasor), readout), frequency_hz=readout.frequency_hz)
 
 
 def output_of(phasor: NDArray[np.complex64]) -> Tensor:
-    """The network output (N, 2, H, W) that stands in a prediction's phasors (N, H, W)."""
+    """(N, 2, H, W) network output of predicted phasors (N, H, W)."""
     return torch.from_numpy(np.stack([phasor.real, phasor.imag], axis=1))
 
 
 def _from_above(by_level: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(T,) sums over all pixels that reach each of T thresholds, of (T + 1,) sums by thresholds reached."""
+    """(T,) sums over the pixels that reach each threshold, from (T + 1,) sums by thresholds reached."""
     return np.cumsum(by_level[::-1])[::-1][1:]

@@ -1,4 +1,4 @@
-"""Averages over scenes that have something in common: shape, wall, position, size."""
+"""Averages over groups of scenes: by shape, roughness of the wall, position and size."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Group:
 
     Attributes
     ----------
-    name : for people.
-    count : of scenes.
-    depth_mae_m, no_object_mae_m : MAE over all pixels, of the prediction and of "no object", metres.
-    object_mae_m : MAE on the object, over the scenes that have one; None where none has.
+    name : name of the group, for readers.
+    count : number of scenes.
+    depth_mae_m, no_object_mae_m : MAE over all pixels of the prediction and of "no object", metres.
+    object_mae_m : MAE on the object, metres, over the scenes for which it is defined; None if for none.
     miou : mean of object IoU and background IoU.
     """
 
@@ -43,7 +43,7 @@ class Group:
 
 @dataclass(frozen=True)
 class GroupTable:
-    """All scenes, each in one group; `key` is for programs, `title` and `note` are for people."""
+    """All scenes, each in one group; `key` is for programs, `title` and `note` are for readers."""
 
     key: str
     title: str
@@ -56,27 +56,33 @@ def group_tables(scenes: Sequence[SceneResult], location_ranges_m: Ranges) -> tu
 
     Parameters
     ----------
-    location_ranges_m : where objects may lie, lower and upper bound per world axis; divided into bins.
+    location_ranges_m : lower and upper bound of the objects' positions on each world axis, metres.
     """
     by_axis = [
         _by_axis(scenes, axis, bounds_m) for axis, bounds_m in zip(range(3), location_ranges_m, strict=True)
     ]
     return (
-        _table(
-            *("object_class", "Shape", "What the hidden object is."),
+        GroupTable(
+            "object_class",
+            "Shape",
+            "Shape of the hidden object.",
             _groups(scenes, lambda s: s.object_class, lambda name, _: _words(name)),
         ),
-        _table(
-            *("composite", "Simple or composite", "A composite is made of two different primitives."),
+        GroupTable(
+            "composite",
+            "Simple or composite",
+            "A composite consists of two different primitives.",
             _groups(
                 scenes, lambda s: s.is_composite, lambda is_both, _: "composite" if is_both else "simple"
             ),
         ),
-        _table(
-            *("roughness", "Roughness of the relay wall", "Low is glossy, 1 is almost a diffuse wall."),
+        GroupTable(
+            "roughness",
+            "Roughness of the relay wall",
+            "A low roughness is glossy, 1 is almost diffuse.",
             _groups(
                 scenes,
-                lambda s: 2.0 if s.roughness is None else s.roughness,  # diffuse comes last
+                lambda s: 2.0 if s.roughness is None else s.roughness,  # above 1: diffuse is last
                 lambda _, some: "diffuse" if some[0].roughness is None else f"{some[0].roughness:g}",
             ),
         ),
@@ -86,14 +92,14 @@ def group_tables(scenes: Sequence[SceneResult], location_ranges_m: Ranges) -> tu
 
 
 def _by_axis(scenes: Sequence[SceneResult], axis: int, bounds_m: tuple[float, float]) -> GroupTable:
-    """Equal bins of one world coordinate; the outer ones are open."""
+    """Bins of equal width along one world axis; the first and the last are open."""
     letter, meaning = AXES[axis]
     edges_m = np.linspace(*bounds_m, POSITION_BINS + 1)  # (POSITION_BINS + 1,)
     names = [f"{low:.3f}–{high:.3f} m" for low, high in pairwise(edges_m)]
-    return _table(
+    return GroupTable(
         f"{letter}_m",
         f"Position: {meaning} ({letter})",
-        "Of the object's centre, of a composite that of its first part; the words hold for the paper's room.",
+        "Centre of the object (of a composite: its first part). The title holds for the paper's room.",
         _groups(
             scenes,
             lambda s: int(np.searchsorted(edges_m[1:-1], s.location_m[axis], side="right")),
@@ -103,15 +109,17 @@ def _by_axis(scenes: Sequence[SceneResult], axis: int, bounds_m: tuple[float, fl
 
 
 def _by_size(scenes: Sequence[SceneResult]) -> GroupTable:
-    """Quartiles of the number of true object pixels."""
+    """Quartiles by the number of true object pixels."""
     inner = np.quantile([s.object_pixels for s in scenes], (0.25, 0.5, 0.75))
 
     def name(_: Hashable, some: Sequence[SceneResult]) -> str:
         pixels = [s.object_pixels for s in some]
         return f"{min(pixels)}–{max(pixels)} pixels"
 
-    return _table(
-        *("object_pixels", "Size in the image", "Quartiles of how many pixels show the object in truth."),
+    return GroupTable(
+        "object_pixels",
+        "Size in the image",
+        "Quartiles by the number of pixels that show the object.",
         _groups(scenes, lambda s: int(np.searchsorted(inner, s.object_pixels, side="left")), name),
     )
 
@@ -121,7 +129,7 @@ def _groups(
     key: Callable[[SceneResult], Any],
     name: Callable[[Any, Sequence[SceneResult]], str],
 ) -> tuple[Group, ...]:
-    """Groups of equal `key`, in its order; a group without scenes is none."""
+    """Groups of scenes with equal `key`, in ascending order of it."""
     members: dict[Any, list[SceneResult]] = {}
     for scene in scenes:
         members.setdefault(key(scene), []).append(scene)
@@ -138,10 +146,6 @@ def _average(name: str, scenes: Sequence[SceneResult]) -> Group:
         miou=float(np.mean([s.prediction.miou for s in scenes])),
         no_object_mae_m=float(np.mean([s.no_object.depth_mae_m for s in scenes])),
     )
-
-
-def _table(key: str, title: str, note: str, groups: tuple[Group, ...]) -> GroupTable:
-    return GroupTable(key, title, note, groups)
 
 
 def _words(name: str) -> str:

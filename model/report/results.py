@@ -1,4 +1,4 @@
-"""What an evaluation found: numbers of every scene, their statistics, and the paper's beside them."""
+"""Results of an evaluation: metrics of every scene, their statistics, and the numbers of the paper."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PAPER = {
 
 
 class Measure(NamedTuple):
-    """A metric as people read it: its field in `Summary`, its name, and how many of its units make one."""
+    """A metric for readers: its field in `Summary`, its name, and the factor to the unit in the name."""
 
     field: str
     name: str
@@ -38,15 +38,15 @@ MEASURES = (
 
 @dataclass(frozen=True)
 class Report:
-    """Outcome of an evaluation; `table` is for people.
+    """Results of an evaluation.
 
     Attributes
     ----------
-    split : which scenes were judged.
-    scenes : numbers of each, in scene order.
-    prediction, no_object : statistics over them, of the network and of predicting "no object" everywhere.
-    groups : averages by shape, wall, position and size.
-    calibration : the same scenes under other mask thresholds; holds the threshold they were judged with.
+    split : the judged split.
+    scenes : results of its scenes, in scene order.
+    prediction, no_object : statistics over these scenes, of the network and of the baseline "no object".
+    groups : averages by shape, roughness, position and size.
+    calibration : averages for other mask thresholds, and the threshold of the evaluation.
     """
 
     split: Split
@@ -58,12 +58,12 @@ class Report:
 
     @property
     def ranked(self) -> list[SceneResult]:
-        """The scenes by accuracy, best first."""
+        """The scenes by accuracy, the best first."""
         return sorted(self.scenes, key=lambda result: -result.prediction.accuracy)
 
     @property
     def table(self) -> str:
-        """The summary as text, baseline and paper beside it."""
+        """The summary as text, with baseline and paper."""
         head = f"{self.split} split, {len(self.scenes)} scenes, radial depth"
         lines = [f"{head:<44}{'average':>9}{'std':>9}{'min':>9}{'max':>9}"]
         for measure, who, statistics in self.lines():
@@ -73,7 +73,7 @@ class Report:
         return "\n".join(lines)
 
     def lines(self) -> Iterator[tuple[Measure, str, list[str]]]:
-        """Lines of the summary: measure, whose, and average, std, min and max as text."""
+        """Lines of the summary: measure, source of the numbers, and average, std, min and max as text."""
         for measure in MEASURES:
             for who, summary in (("prediction", self.prediction), ("no object", self.no_object)):
                 yield measure, who, _texts(getattr(summary, measure.field), measure.scale)

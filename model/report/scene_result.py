@@ -1,4 +1,4 @@
-"""One judged scene: what was in it, and how well it was seen."""
+"""Result of one scene: its contents, and the metrics of its prediction."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from scenegen import Scene
 
 @dataclass(frozen=True)
 class SceneResult:
-    """Metrics of one scene, of the prediction and of the "no object" baseline, and what may explain them.
+    """Metrics of a scene, for the prediction and the baseline "no object", and properties that affect them.
 
     Attributes
     ----------
-    roughness : of the relay wall; None for a diffuse one.
-    location_m : centre of the hidden object, of a composite that of its first part, world axes, metres.
-    object_pixels : how many pixels show the object in truth.
+    roughness : roughness of the relay wall; None for a diffuse wall.
+    location_m : centre of the hidden object in world axes, metres; for a composite, of its first part.
+    object_pixels : number of pixels that show the object in the ground truth.
     """
 
     scene: str
@@ -36,7 +36,7 @@ class SceneResult:
 def judge_scene(
     scene: Scene, prediction: DepthMap, radial_depth_gt_m: NDArray[np.float32], mask_gt: NDArray[np.uint8]
 ) -> SceneResult:
-    """Judge the prediction of one image against its truth, all (H, W), depths in metres."""
+    """Metrics of one (H, W) prediction; true radial depth in metres and true mask are (H, W) too."""
     return SceneResult(
         scene=scene.id,
         object_class=scene.object_class,

@@ -1,4 +1,4 @@
-"""The scenes a report shows: the best, the median and the worst, as pictures and as points in space."""
+"""Scenes that the report shows as picture and point cloud: the best, the median and the worst."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from itof import DepthMap
 from model.report.scene_result import SceneResult
 
-CLOUD_POINTS = 5000  # of one cloud in the page; the PLY files have all
-LEAST_REACH_M = 0.3  # half the side of the box a cloud is drawn in
-MOST = 0.97  # of all points lie inside that box
+CLOUD_POINTS = 5000  # limit for a cloud of the page; the PLY files have all points
+LEAST_REACH_M = 0.3  # smallest half side of the cube in which a cloud is drawn
+MOST = 0.97  # share of all points that the cube contains
 
 
 @dataclass(frozen=True)
 class ShownScene:
-    """One scene of the report; points are in camera axes (`model.prediction.pointclouds`), metres, (n, 3)."""
+    """One scene of the report; points are (n, 3) in camera axes (`model.prediction.pointclouds`), metres."""
 
     rank: str
     result: SceneResult
@@ -29,13 +29,13 @@ class ShownScene:
 
 @dataclass(frozen=True)
 class Cloud:
-    """The points of a scene as the page draws them.
+    """Points of a scene as the page draws them.
 
     Attributes
     ----------
-    truth, prediction : (n, 3) points, metres, at most CLOUD_POINTS, evenly thinned.
-    centre_m, reach_m : a cube around the true object that holds most of all points, and its half side.
-    outside : how many points, before thinning, lie outside.
+    truth, prediction : (n, 3) points, metres; at most CLOUD_POINTS, taken at equal steps.
+    centre_m, reach_m : centre (3,) and half side of the cube that is drawn, metres.
+    outside : number of points outside the cube, among all points.
     """
 
     truth: NDArray[np.float32]
@@ -46,21 +46,22 @@ class Cloud:
 
 
 def choose(ranked: list[SceneResult]) -> dict[str, SceneResult]:
-    """The best, the median and the worst of scenes that stand best first; one scene may be all three."""
+    """The best, the median and the worst scene of `ranked` (best first); they may be the same scene."""
     return {"best": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "worst": ranked[-1]}
 
 
 def cloud_of(shown: ShownScene) -> Cloud | None:
-    """What to draw of a scene; None where neither truth nor prediction shows an object.
+    """Points and cube of a scene; None if neither ground truth nor prediction shows an object.
 
-    The box is that of the true object where there is one, and grows until it holds MOST points: a few stray
-    pixels metres away would else leave a first view of dots.
+    The cube surrounds the true object, or the predicted one if there is no true object, and is enlarged until
+    it contains the share MOST of all points. A cube around all points would make the object tiny if a few
+    predicted pixels are metres away.
     """
     both = np.concatenate([shown.points_gt_m, shown.points_pred_m])  # (n, 3)
     if not len(both):
         return None
     middle = shown.points_gt_m if len(shown.points_gt_m) else both
-    centre_m = (middle.min(axis=0) + middle.max(axis=0)) / 2  # the mean of two, not a path length
+    centre_m = (middle.min(axis=0) + middle.max(axis=0)) / 2
     away_m = np.abs(both - centre_m).max(axis=1)  # (n,)
     needed_m = max(np.abs(middle - centre_m).max(), np.quantile(away_m, MOST))
     reach_m = max(LEAST_REACH_M, 1.1 * float(needed_m))
@@ -74,5 +75,5 @@ def cloud_of(shown: ShownScene) -> Cloud | None:
 
 
 def _thinned(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    step = -(-len(points) // CLOUD_POINTS)  # rounded up
+    step = -(-len(points) // CLOUD_POINTS)
     return points[:: max(step, 1)]

@@ -1,5 +1,6 @@
-"""The training loop and all that only training needs.
+"""Training: `loop` runs the epochs, `epoch` and `step` are their parts, `state` is saved and resumed.
 
-Here: loop, step, optimiser, checkpoints, several processes, TensorBoard, stopping and resuming. May import
-`model.data`, `model.network`, the run folder and the settings; neither `model.prediction` nor `model.report`.
+Also the optimiser, the checkpoint file, several processes, TensorBoard, interruption by signals, and the
+checks that refuse a training. May import `model.data`, `model.network`, the run folder, the device and the
+settings; neither `model.prediction` nor `model.report`.
 """

@@ -1,4 +1,4 @@
-"""``checkpoint.pt`` of a run folder: all that a training needs to go on, in the middle of an epoch or not."""
+"""``checkpoint.pt`` of a run folder: the state from which a training resumes, also within an epoch."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ KEYS = frozenset({"network", "optimisation", "best", "position", "history", "win
 
 
 def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
-    """Write ``checkpoint.pt``: tensors, numbers and text only; `state` has the keys of KEYS."""
+    """Write ``checkpoint.pt``; `state` has the keys KEYS and contains tensors, numbers and text only."""
     with whole_file(folder / "checkpoint.pt") as partial:
         torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
 
 
 def load_checkpoint(folder: Path) -> dict[str, Any] | None:
-    """Read ``checkpoint.pt`` into memory; None when there is none yet.
+    """Read ``checkpoint.pt`` into memory; None if it does not exist.
+
+    The file is read with ``weights_only=True``, so nothing in it is executed.
 
     Raises
     ------
-    RunError : a damaged or foreign file.
+    RunError : the file is damaged, or it is not a checkpoint of this schema version.
     """
     file = folder / "checkpoint.pt"
     if not file.is_file():
         return None
     try:
-        with warnings.catch_warnings():  # torch warns of pickles that it then refuses
+        with warnings.catch_warnings():  # PyTorch warns of pickles before it refuses them
             warnings.simplefilter("ignore", UserWarning)
             state = torch.load(file, map_location="cpu", weights_only=True)
     except OSError as error:

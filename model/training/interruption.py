@@ -1,4 +1,4 @@
-"""Being asked to stop: Ctrl-C and SIGTERM wait until the state of a training is on disk."""
+"""Interruption by Ctrl-C or SIGTERM, delayed until the state of the training is on disk."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _log = logging.getLogger(__name__)
 
 
 class Interruption:
-    """While this context is open, a first SIGINT or SIGTERM is only noted; a second acts as before it.
+    """Context in which the first SIGINT or SIGTERM is only noted; a second one has its usual effect.
 
     Attributes
     ----------
-    signal : the one that came, or None.
+    signal : number of the noted signal, or None.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Interruption:
         self._before: dict[int, signal._HANDLER] = {}
 
     def __enter__(self) -> Interruption:
-        if threading.current_thread() is threading.main_thread():  # Python allows no other to do this
+        if threading.current_thread() is threading.main_thread():  # only this thread may set handlers
             self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
         return self
 
@@ -35,7 +35,7 @@ class Interruption:
         self._restore()
 
     def end(self) -> None:
-        """End the process as the signal would have: as Ctrl-C, or with exit code 128 + its number."""
+        """End the process: KeyboardInterrupt after SIGINT, exit code 128 + number after another signal."""
         if self.signal == signal.SIGINT:
             raise KeyboardInterrupt
         if self.signal is not None:
@@ -43,7 +43,7 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
-        _log.info("stopping after this batch, with a checkpoint; once more stops at once, without")
+        _log.info("stopping after this batch with a checkpoint; a second signal stops at once without one")
         self._restore()
 
     def _restore(self) -> None:

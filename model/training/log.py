@@ -1,4 +1,4 @@
-"""What TensorBoard shows of a training: scalars of every epoch, and pictures now and then."""
+"""TensorBoard log of a training: scalars of every epoch, pictures of every tenth."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from model.training.optimisation import Optimisation
 
 
 class TrainingLog:
-    """Writer of ``log/`` in the run folder `out`; writes nothing where that is None.
+    """Writes ``log/`` in the run folder `out`; nothing if `out` is None.
 
-    Epochs after `done` that an interrupted run left there are hidden.
+    Parameters
+    ----------
+    done : number of finished epochs. TensorBoard hides later epochs that an interrupted run has logged.
     """
 
-    PICTURES = 4  # scenes side by side
+    PICTURES = 4  # scenes in a picture
     PICTURE_EVERY = 10  # epochs
 
     def __init__(self, out: Path | None, done: int) -> None:
@@ -39,7 +41,7 @@ class TrainingLog:
             self._writer.close()
 
     def scalars(self, record: Mapping[str, float], optimisation: Optimisation) -> None:
-        """An epoch's record, the last gradient's norm, and samples a second since the epoch before."""
+        """Log an epoch's record, the norm of its last gradient, and its samples per second."""
         if not self._writer:
             return
         epoch, now = int(record["epoch"]), time.perf_counter()
@@ -54,21 +56,21 @@ class TrainingLog:
         self._since, self._steps = now, optimisation.steps
 
     def wants_pictures(self, epoch: int) -> bool:
-        """Whether it is time for pictures."""
+        """Whether pictures of this epoch are logged."""
         return self._writer is not None and epoch % self.PICTURE_EVERY == 1
 
     def pictures(self, batch: Batch, readout: Readout, output: Tensor, epoch: int) -> None:
-        """Some scenes side by side, truth above prediction: radial depth, Re and Im of the phasor."""
+        """Log scenes side by side, ground truth above prediction: radial depth, Re and Im of the phasor."""
         if not self._writer:
             return
         depth_m = torch.stack([batch.radial_depth_m, readout.radial_depth_m(output)])  # (2, N, H, W)
         self._writer.add_image("radial_depth", _tiles(depth_m / depth_m.max().clamp_min(1e-9)), epoch)
         components = torch.stack([batch.target, output]).clamp(-1, 1)  # (2, N, 2, H, W)
         for index, name in enumerate(("re", "im")):
-            self._writer.add_image(name, _tiles((components[:, :, index] + 1) / 2), epoch)  # -1..1 to 0..1
+            self._writer.add_image(name, _tiles((components[:, :, index] + 1) / 2), epoch)
 
 
 def _tiles(images: Tensor) -> Tensor:
-    """(1, 2H, N W) one picture of (2, N, H, W) images."""
+    """(1, 2H, N W) picture of (2, N, H, W) images."""
     rows, columns, height, width = images.shape
     return images.permute(0, 2, 1, 3).reshape(1, rows * height, columns * width).float().cpu()

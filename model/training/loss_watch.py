@@ -1,4 +1,4 @@
-"""Watching the loss of every batch: one that is no number, or explodes, names its scenes."""
+"""Check of every batch's loss; a bad loss is reported with the scenes of its batch."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from torch import Tensor
 
 from scenegen import NightError
 
-# Predicting nothing costs 1 at most, a depth of one turn too much 56 squared metres; He's initial weights
-# are well below 100.
+# Upper limit of a sound loss. An empty prediction has a loss of at most 1, a depth error of one unambiguous
+# range 56 m^2 with the squared error, and the initial weights give well below 100.
 EXPLODED = 1e4
 
 
 class LossError(NightError):
-    """A loss that is no number or exploded."""
+    """A loss is not finite or too large."""
 
 
 class LossWatch:
-    """Losses of an epoch's batches, looked at a few at a time: each look waits for the GPU.
+    """Losses of an epoch's batches, checked several at a time, because each check waits for the GPU.
 
     Parameters
     ----------
-    epoch : for the error.
-    ids : scene ids of rows.
-    every : batches between two looks.
+    epoch : number of the epoch, for the error message.
+    ids : function from rows to scene ids.
+    every : batches between two checks.
     """
 
     def __init__(self, epoch: int, ids: Callable[[Sequence[int]], list[str]], every: int) -> None:
@@ -35,14 +35,14 @@ class LossWatch:
         self._rows: list[tuple[int, ...]] = []
 
     def add(self, loss: Tensor, rows: Sequence[int]) -> None:
-        """Note a batch's loss; `LossError` when it is time to look and one of those noted is bad."""
+        """Note the loss of a batch; after every `every` batches, `look`."""
         self._losses.append(loss)
         self._rows.append(tuple(rows))
         if len(self._losses) >= self.every:
             self.look()
 
     def look(self) -> None:
-        """Look at all losses that were noted since the last look."""
+        """Check all losses since the last check; `LossError` if one is bad."""
         losses = torch.stack(self._losses).tolist() if self._losses else []
         for value, rows in zip(losses, self._rows, strict=True):
             if not (math.isfinite(value) and value < EXPLODED):

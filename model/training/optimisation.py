@@ -1,4 +1,4 @@
-"""From a loss to the next weights: Adam, its learning rate, clipped gradients, averaged weights."""
+"""Update of the weights: Adam, learning rate schedule, gradient clipping, averaged weights."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from model.settings import TrainSettings
 
 
 def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:
-    """Learning rate of a step, counted from 0.
+    """Learning rate of a step; the first step is 0.
 
-    It grows linearly through the warm-up, whose last step has the full rate; then it stays, or falls as half
-    a cosine that would be 0 in the step after the last of `max_epochs`.
+    It grows linearly during the warm-up, whose last step has the full rate. Then it is constant, or falls as
+    half a cosine that reaches 0 in the step after the last of `max_epochs`.
 
-    Source: Caligiuri et al. 2024, sec. 5.1 (constant); Loshchilov, Hutter, "SGDR", ICLR 2017, eq. 5.
+    Source: Caligiuri et al. 2024, sec. 4.2 (constant); Loshchilov, Hutter, "SGDR", ICLR 2017, eq. 5.
     """
     warm_up = settings.warm_up_epochs
     rate = settings.learning_rate
@@ -31,17 +31,18 @@ def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> f
         return rate
     done = (step / steps_per_epoch - warm_up) / (settings.max_epochs - warm_up)
     done = min(1.0, max(0.0, done))
-    return rate * (1 + cos(pi * done)) / 2  # the mean of 1 and the cosine, not a path length
+    return rate * (1 + cos(pi * done)) / 2
 
 
 class Optimisation:
-    """Adam on a network's weights, as the settings want it.
+    """Updates the weights of a network with Adam, according to the settings.
 
     Attributes
     ----------
-    steps : done so far.
+    steps : number of steps so far.
     average : exponential moving average of the weights (Polyak averaging), or None.
-    gradient_norm : of the last step, before clipping; 0 until then, and where nothing is clipped.
+    gradient_norm : norm of the gradient in the last step, before clipping; 0 before the first step, and
+        always 0 without clipping.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Optimisation:
     ) -> None:
         self.network, self.settings, self.steps_per_epoch = network, settings, steps_per_epoch
         self.adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, fused=True)
-        # The gradients of half floats vanish below 6e-8 unless the loss is scaled up first.
+        # Half floats round gradients below 6e-8 to 0, so the loss is scaled up first.
         scales = number_type(settings.precision, device) == torch.float16
         self.scaler = torch.amp.GradScaler(device.type, enabled=scales)
         decay = settings.ema_decay
@@ -59,13 +60,13 @@ class Optimisation:
 
     @property
     def judged(self) -> UNet:
-        """The network that is validated and kept: of averaged weights, if there are any."""
+        """The network that is validated and kept; it has the averaged weights if there are any."""
         if self.average is None:
             return self.network
         return cast(UNet, self.average.module)
 
     def step(self, loss: Tensor) -> None:
-        """Change the weights against the gradient of `loss`."""
+        """Update the weights to reduce `loss`."""
         rate = learning_rate(self.settings, self.steps, self.steps_per_epoch)
         for group in self.adam.param_groups:
             group["lr"] = rate
@@ -81,7 +82,7 @@ class Optimisation:
         self.steps += 1
 
     def state(self) -> dict[str, Any]:
-        """All that a resumed run needs besides the weights: tensors, numbers and text."""
+        """State that a resumed run needs besides the weights: tensors, numbers and text."""
         return {
             "adam": self.adam.state_dict(),
             "scaler": self.scaler.state_dict(),
@@ -90,7 +91,7 @@ class Optimisation:
         }
 
     def restore(self, state: dict[str, Any]) -> bool:
-        """Take up a state; False, or one of the errors of torch, when it is of another network."""
+        """Load a state; False, or an exception of PyTorch, if it belongs to another network."""
         names = set(self.adam.param_groups[0])
         self.adam.load_state_dict(state["adam"])
         self.scaler.load_state_dict(state["scaler"])

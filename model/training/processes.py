@@ -1,4 +1,4 @@
-"""One training on several GPUs or machines: the processes that torchrun starts, or this one alone."""
+"""Training on several GPUs or machines: the processes that torchrun starts, or a single one."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ class Processes:
 
     Attributes
     ----------
-    device : that this one computes on.
-    rank, count : which of them this one is, and how many there are.
+    device : device of this process.
+    rank : index of this process.
+    count : number of processes.
     """
 
     device: torch.device
@@ -32,23 +33,23 @@ class Processes:
 
     @property
     def is_first(self) -> bool:
-        """Whether this one writes files and shows progress."""
+        """Whether this process writes files and shows progress."""
         return self.rank == 0
 
     def share(self, rows: Sequence[int]) -> list[int]:
-        """Rows of a batch that are this process's; never none, so that all take part in every step.
+        """Rows of a batch for this process; at least one, because all processes take part in every step.
 
-        A batch with fewer rows than processes lends its first row to those that would have none; there it
-        must count nothing (`own`).
+        If a batch has fewer rows than there are processes, the others borrow its first row. A borrowed row
+        has weight 0 (`own`).
         """
         return list(rows[self.rank :: self.count]) or list(rows[:1])
 
     def own(self, batch_size: int) -> int:
-        """How many rows of a batch are this process's own, not lent."""
+        """Number of rows of a batch that belong to this process, without a borrowed one."""
         return len(range(self.rank, batch_size, self.count))
 
     def parallel(self, network: nn.Module) -> nn.Module:
-        """The network with gradients that are averaged over all processes."""
+        """The network, with its gradients averaged over all processes."""
         if self.count == 1:
             return network
         return DistributedDataParallel(
@@ -63,21 +64,21 @@ class Processes:
         return values
 
     def smallest(self, number: int) -> int:
-        """The smallest of the numbers that the processes have."""
+        """Minimum of `number` over all processes."""
         smallest = torch.tensor(number, device=self.device)
         if self.count > 1:
             distributed.all_reduce(smallest, distributed.ReduceOp.MIN)
         return int(smallest)
 
     def any(self, flag: bool) -> bool:
-        """Whether the flag is set in any process."""
+        """Whether `flag` is set in any process."""
         if self.count == 1:
             return flag
         return bool(self.total(torch.tensor(float(flag), device=self.device)) > 0)
 
     @contextmanager
     def first_one_first(self) -> Iterator[None]:
-        """Let the first process through a block before the others enter it."""
+        """Context that the other processes enter after the first process has left it."""
         if self.count > 1 and not self.is_first:
             distributed.barrier()
         yield
@@ -86,24 +87,25 @@ class Processes:
 
 
 def processes_of_this_machine() -> int:
-    """How many processes of the run share this machine's memory."""
+    """Number of processes of the run on this machine, which share its memory."""
     return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
 
 
 def is_first_process() -> bool:
-    """Whether this process should print: it is alone, or the first of those that torchrun started."""
+    """Whether this process should print: it is the only one, or the first that torchrun started."""
     return int(os.environ.get("RANK", "0")) == 0
 
 
 @contextmanager
 def joined_processes(device_name: DeviceName) -> Iterator[Processes]:
-    """The processes that torchrun started with this one (by the environment it sets), else this one alone.
+    """Connect to the other processes that torchrun started; without torchrun there is only this one.
 
-    On GPUs each takes the one of its local rank and they talk by NCCL, on CPUs by gloo.
+    The environment variables of torchrun tell which case it is. On GPUs, each process uses the GPU of its
+    local rank and they communicate by NCCL; on CPUs, they communicate by Gloo.
 
     Raises
     ------
-    DeviceError : no such device.
+    DeviceError : the device does not exist.
     """
     device = choose_device(device_name)
     count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -113,7 +115,7 @@ def joined_processes(device_name: DeviceName) -> Iterator[Processes]:
     if device.type == "cuda":
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(device)
-    # The others wait while the first one makes shards or writes a checkpoint.
+    # The timeout is long because the others wait while the first one builds shards.
     distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=timedelta(hours=6))
     try:
         yield Processes(device, distributed.get_rank(), count)

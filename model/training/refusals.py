@@ -1,4 +1,4 @@
-"""What keeps a training from starting or going on, each in one sentence."""
+"""Conditions under which a training cannot start or continue."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from scenegen import Dataset, NightError, is_partial
 
 
 class TrainingError(NightError):
-    """A dataset that cannot be trained on, or a loss that is not a number."""
+    """Training is impossible: the dataset lacks a split, a loss is bad, or memory is too small."""
 
 
 def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
-    """Refuse an `out` that is in use, and a dataset that lacks a split; before anything costs time.
+    """Refuse an `out` that is in use and a dataset that lacks a split, before any slow work.
 
     Raises
     ------
-    RunError : `out` holds something else, or a run that is not to be resumed.
-    TrainingError : no training or no validation scenes.
+    RunError : `out` contains other files, or a run and `resume` is False.
+    TrainingError : there are no training or no validation scenes.
     """
     if not resume and out.exists() and not _is_free(out):
         if not out.is_dir():
@@ -40,26 +40,26 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
 
 
 def refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:
-    """`TrainingError` where every scene of a split failed to render."""
+    """`TrainingError` if every scene of a split failed to render."""
     for split in ("train", "validation"):
         if not shards.rows(split):
             raise TrainingError(
-                f"no {split} scene of {dataset.root} could be rendered: see night-render --status"
+                f"no {split} scene of {dataset.root} could be rendered: see night-render status"
             )
 
 
 def _is_free(out: Path) -> bool:
-    """Whether a new run may be written to `out`: an empty folder, but for what a killed process left."""
+    """Whether `out` is a folder without files, except temporary files of a killed process."""
     return out.is_dir() and all(is_partial(entry.name) for entry in out.iterdir())
 
 
 @contextmanager
 def naming_memory(config: RunConfig) -> Iterator[None]:
-    """Turn PyTorch's and numpy's ways to run out of memory into one sentence, a `TrainingError`."""
+    """Turn the out-of-memory exceptions of PyTorch and numpy into a `TrainingError`."""
     try:
         yield
     except (RuntimeError, MemoryError) as error:
-        # On the CPU, PyTorch has no exception of its own for this.
+        # On the CPU, PyTorch raises a plain RuntimeError.
         ours = isinstance(error, torch.OutOfMemoryError | MemoryError) or "alloc_cpu.cpp" in str(error)
         if not ours:
             raise

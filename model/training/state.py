@@ -1,4 +1,4 @@
-"""The state of a training: network, optimiser, place in the epoch, history; saved and taken up again."""
+"""State of a training: network, optimiser, position in the epoch, history; saved and restored."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ _log = logging.getLogger(__name__)
 
 
 class TrainingState:
-    """What changes while a run trains, and what it trains with.
+    """State of a training, and the objects that it uses.
 
     Attributes
     ----------
-    step, optimisation : the network's, with its weights.
-    maker, feeds : of batches, and the rows of the training and validation scenes.
-    history : a record of each finished epoch.
-    best_weights : of the epoch with the smallest validation loss, on the CPU.
-    batches_done, loss_total : of the epoch that has begun; the total is this process's part of it.
-    saved_at : when the last checkpoint was written, by the monotonic clock.
+    step, optimisation : network and optimiser.
+    maker, feeds : make the batches of the training and validation scenes.
+    history : record of each finished epoch.
+    best_weights : weights of the epoch with the smallest validation loss, on the CPU.
+    batches_done : batches of the current epoch that are done.
+    loss_total : sum of the losses of this process's scenes in the current epoch.
+    saved_at : time of the last checkpoint on the monotonic clock, seconds.
     """
 
     def __init__(
@@ -58,20 +59,20 @@ class TrainingState:
         rows = self.shards.rows(split)
         sharers = processes_of_this_machine()
         window = window_rows(self.shards, len(rows), memory_bytes, self.processes.device, sharers)
-        # The order depends on it, so all processes must take the same.
+        # The window decides the order of the rows, which must be the same in all processes.
         return Feed(self.shards, rows, self.processes.smallest(window), self.maker.upload)
 
     @property
     def best(self) -> EpochRecord:
-        """First epoch of the smallest validation loss; there must have been one."""
+        """The first epoch with the smallest validation loss; there must be a finished epoch."""
         return min(self.history, key=lambda record: record.validation_loss)
 
     def out_of_patience(self) -> bool:
-        """Whether too many epochs have passed without a better validation loss."""
+        """Whether the validation loss did not improve for `patience` epochs."""
         return bool(self.history) and len(self.history) - self.best.epoch >= self.settings.patience
 
     def finish_epoch(self, record: EpochRecord) -> None:
-        """Add an epoch to the history and begin the next one."""
+        """Add an epoch to the history and start the next one."""
         self.history.append(record)
         self.batches_done = 0
         self.loss_total.zero_()
@@ -82,7 +83,12 @@ class TrainingState:
             }
 
     def save(self, out: Path) -> None:
-        """Write a checkpoint; best weights first, so that no checkpoint outlives its best."""
+        """Write the best weights, the history and then the checkpoint that refers to them.
+
+        Raises
+        ------
+        TrainingError : the weights are not finite; nothing is written.
+        """
         loss_total = float(self.processes.total(self.loss_total))
         self.saved_at = time.monotonic()
         if not self.processes.is_first:
@@ -107,7 +113,7 @@ class TrainingState:
         self.saved_at = time.monotonic()
 
     def restore(self, state: Mapping[str, Any], file: Path) -> None:
-        """Continue from a checkpoint; `RunError` when it is of another training."""
+        """Load a checkpoint; `RunError` if it belongs to another training."""
         try:
             fill(self.step.network, state["network"], file)
             fits = self.optimisation.restore(state["optimisation"])
@@ -115,7 +121,7 @@ class TrainingState:
             self.best_weights = {name: tensor.cpu() for name, tensor in state["best"].items()}
             fits = fits and bool(self.best_weights) == bool(self.history)
             self.batches_done = int(state["position"]["batches"])
-            if self.processes.is_first:  # the total counts once
+            if self.processes.is_first:  # the total is a sum over processes
                 self.loss_total += float(state["position"]["loss_total"])
             self.keep_windows(int(state["window_rows"]))
         except RunError:
@@ -126,12 +132,13 @@ class TrainingState:
             raise RunError(f"{file} does not hold the state of this training: train again from the start")
 
     def keep_windows(self, window_rows: int) -> None:
-        """Shuffle in windows of as many training scenes as before; without that the order would differ."""
+        """Use the window size with which the run began; another size would change the order of the scenes."""
         feed = self.feeds["train"]
         if window_rows > feed.window_rows:
             _log.warning(
-                "the run began with %d training scenes in memory and goes on so; this machine's share of "
-                "memory for them takes %d",
-                *(window_rows, feed.window_rows),
+                "the run began with %d training scenes in memory and keeps this number, but the memory for "
+                "them on this machine holds only %d",
+                window_rows,
+                feed.window_rows,
             )
         self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self.maker.upload)

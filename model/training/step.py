@@ -1,4 +1,4 @@
-"""One step of training: from rows on the device to the next weights."""
+"""One step of training: from rows on the device to updated weights."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from model.training.processes import Processes
 
 
 class TrainingStep:
-    """Network, loss and optimiser of a run, and what the processor is to make of them.
+    """Network, loss and optimiser of a run, in the run's number type and memory order.
 
     Attributes
     ----------
-    network : whose weights are trained.
-    maker : of batches from rows.
-    loss : as the settings want it.
-    optimisation : of the network's weights.
+    network : the network that is trained.
+    maker : makes batches from rows.
+    loss : loss according to the settings.
+    optimisation : updates the weights of `network`.
 
     Parameters
     ----------
-    steps_per_epoch : which the learning rate's course is measured in.
+    steps_per_epoch : number of steps in an epoch, for the learning rate schedule.
     """
 
     def __init__(
@@ -47,12 +47,12 @@ class TrainingStep:
         self.optimisation = Optimisation(self.network, settings, steps_per_epoch, device)
 
     def loss_of(self, rows: RowBlock, draws: Draws) -> Tensor:
-        """Loss of the network on rows, changed as chance decided; its graph is kept for `take`."""
+        """Loss of the network on augmented rows, with the graph that `take` needs."""
         batch = self.augmentation(rows, self.maker, draws)
         return self.judge(self.output(batch, self._trained), batch)
 
     def take(self, loss: Tensor) -> None:
-        """Change the weights against the gradient of a loss."""
+        """Update the weights to reduce `loss`."""
         self.optimisation.step(loss)
 
     def judge(self, output: Tensor, batch: Batch) -> Tensor:
@@ -60,6 +60,6 @@ class TrainingStep:
         return self.loss(output, batch.target, batch.radial_depth_m, batch.mask)
 
     def output(self, batch: Batch, network: Callable[[Tensor], Tensor]) -> Tensor:
-        """(N, 2, H, W) float32 output of `network`, computed in the run's precision."""
+        """(N, 2, H, W) float32 output of `network`; its convolutions use the run's number type."""
         with torch.autocast(self._device_type, self._number_type, enabled=self._number_type != torch.float32):
             return network(batch.channels.contiguous(memory_format=self._order))

@@ -1,0 +1,143 @@
+"""Building shards: compares them with the renders and writes the parts that are missing or out of date."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from itof import split_components
+from model.data.manifest import MANIFEST_FILE, ShardManifest, preset_sha256, read_manifest, write_manifest
+from model.data.piece_arrays import write_piece
+from model.data.pieces import PieceContents, PieceRecord, read_piece_record, scenes_per_piece, why_stale
+from model.data.renders import ShardError, read_render, source_hashes
+from model.data.rows import ARRAYS, RowLayout
+from model.network.wall_view import wall_view
+from scenegen import Dataset, FileHashes, whole_file
+from scenegen.files.whole_files import remove_leftovers
+from scenegen.progress import showing_progress
+
+REFERENCE_FILE = "reference.npy"
+_log = logging.getLogger(__name__)
+
+
+def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> ShardManifest:
+    """Bring pieces, reference and manifest up to date, in this order.
+
+    Raises
+    ------
+    ShardError, ImageFileError : renders are missing, damaged, not finite or differ in size.
+    OSError : the disk is full.
+    """
+    folder = dataset.shard_folder
+    sources = source_hashes(dataset, hashes)
+    layout = _layout(dataset, sources)
+    pieces = _pieces(dataset, layout, sources)
+    before = read_manifest(folder)
+    _remove_surplus(folder, {piece.name for piece in pieces})
+    rebuilt = _update_pieces(dataset, pieces, hashes, progress)
+    manifest = ShardManifest(
+        frequencies_hz=dataset.preset.itof.frequencies_hz,
+        width=layout.width,
+        height=layout.height,
+        preset_sha256=preset_sha256(dataset.preset),
+        scenes=dataset.index.scenes,
+        scenes_per_piece=scenes_per_piece(layout),
+        pieces=tuple(_record(folder / piece.name) for piece in pieces),
+        reference_sha256=_update_reference(dataset, layout, before, hashes),
+    )
+    if rebuilt or manifest != before:
+        write_manifest(folder, manifest)
+    return manifest
+
+
+def _layout(dataset: Dataset, sources: Mapping[str, Mapping[str, str]]) -> RowLayout:
+    """Shape of a row, from the first scene; its images are read only if its piece is out of date."""
+    first = dataset.ids()[0]
+    frequencies_hz = dataset.preset.itof.frequencies_hz
+    record = read_piece_record(dataset.shard_folder / first)
+    if record and sources[first].items() <= record.contents.sources.items():
+        return RowLayout(record.contents.width, record.contents.height, len(frequencies_hz))
+    height, width = read_render(dataset, first).truth.mask.shape
+    return RowLayout(width, height, len(frequencies_hz))
+
+
+def _pieces(
+    dataset: Dataset, layout: RowLayout, sources: Mapping[str, Mapping[str, str]]
+) -> list[PieceContents]:
+    """Contents that each piece must have."""
+    scenes, count = dataset.ids(), scenes_per_piece(layout)
+    return [
+        PieceContents(
+            scenes=tuple(chosen),
+            width=layout.width,
+            height=layout.height,
+            frequencies_hz=dataset.preset.itof.frequencies_hz,
+            sources={name: digest for scene in chosen for name, digest in sources[scene].items()},
+        )
+        for chosen in (scenes[start : start + count] for start in range(0, len(scenes), count))
+    ]
+
+
+def _update_pieces(
+    dataset: Dataset, pieces: Sequence[PieceContents], hashes: FileHashes, progress: bool
+) -> bool:
+    """Rebuild the pieces that are out of date; whether there were any."""
+    folder = dataset.shard_folder
+    reasons = {piece.name: why_stale(folder / piece.name, piece, hashes) for piece in pieces}
+    stale = [piece for piece in pieces if reasons[piece.name]]
+    if not stale:
+        return False
+    reason = reasons[stale[0].name]
+    _log.info("building %d of %d pieces of %s: %s", len(stale), len(pieces), folder, reason)
+    (folder / MANIFEST_FILE).unlink(missing_ok=True)
+    scene_count = sum(len(piece.scenes) for piece in stale)
+    with showing_progress(scene_count, "scene", "shards", show=progress) as bar:
+        for piece in stale:
+            write_piece(dataset, folder / piece.name, piece, bar.update)
+    for piece in stale:
+        why_stale(folder / piece.name, piece, hashes)  # hashes the new files while the disk cache has them
+    return True
+
+
+def _record(piece: Path) -> PieceRecord:
+    record = read_piece_record(piece)
+    if record is None:
+        raise ShardError(f"{piece} disappeared: another process is rebuilding the shards; start again")
+    return record
+
+
+def _update_reference(
+    dataset: Dataset, layout: RowLayout, before: ShardManifest | None, hashes: FileHashes
+) -> str:
+    """SHA-256 of ``reference.npy``, which is written first if it is missing or out of date."""
+    file = dataset.shard_folder / REFERENCE_FILE
+    asked = (preset_sha256(dataset.preset), layout)
+    if before and (before.preset_sha256, before.layout) == asked:
+        try:
+            if hashes.sha256(file) == before.reference_sha256:
+                return before.reference_sha256
+        except OSError:
+            _log.info("%s is missing", file)
+    reference = wall_view(dataset).direct_phasors(
+        layout.width, layout.height, dataset.preset.itof.frequencies_hz
+    )
+    components = split_components(reference)  # (H, W, 2F)
+    with whole_file(file) as partial, partial.open("wb") as stream:
+        np.save(stream, np.moveaxis(components, -1, 0).astype(np.float32))
+    return hashes.sha256(file)
+
+
+def _remove_surplus(folder: Path, pieces: set[str]) -> None:
+    """Remove pieces of another layout, arrays of schema version 1 and files of killed processes."""
+    if not folder.is_dir():
+        return
+    remove_leftovers(folder)
+    for entry in folder.iterdir():
+        if entry.is_dir() and entry.name.isdigit() and entry.name not in pieces:
+            shutil.rmtree(entry)
+        elif entry.name in {f"{name}.npy" for name in ARRAYS}:
+            entry.unlink()

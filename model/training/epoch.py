@@ -1,0 +1,143 @@
+"""One epoch: a pass over the training scenes, then one over the validation scenes."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from model.data.augmentation import Draws
+from model.network.metrics import mask_iou
+from model.run_folder import EpochRecord
+from model.training.interruption import Interruption
+from model.training.loss_watch import LossError, LossWatch
+from model.training.optimisation import learning_rate
+from model.training.refusals import TrainingError
+from model.training.state import TrainingState
+from scenegen.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+
+def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: Interruption) -> float:
+    """Train on the remaining batches of an epoch in random order; the epoch's mean loss per scene.
+
+    Raises
+    ------
+    TrainingError : a loss is not finite, or too large.
+    """
+    state.step.network.train()
+    feed, size = state.feeds["train"], state.settings.batch_size
+    # Order and augmentation depend only on seed and epoch, so they are the same after a resume.
+    epoch = len(state.history) + 1
+    generator = torch.Generator().manual_seed(_epoch_seed(state.settings.seed, epoch))
+    blocks = feed.shuffled(size, generator, skip=state.batches_done)
+    draws = Draws.of(len(feed.rows), generator)
+    watch = LossWatch(epoch, state.shards.ids, every=_check_every(state))
+    for block in blocks:
+        mine = state.processes.share(range(len(block)))
+        part = block.take([block.rows[place] for place in mine])
+        loss = state.step.loss_of(part, draws[[state.batches_done * size + place for place in mine]])
+        _watch(watch, loss, part.rows)
+        own = state.processes.own(len(block))
+        # The processes average their gradients. With this weight, the average is the gradient of the
+        # batch's mean loss.
+        state.step.take(loss * (own * state.processes.count / len(block)))
+        state.loss_total += own * loss.detach()
+        state.batches_done += 1
+        bar.update(len(block))
+        if state.batches_done % _check_every(state) == 0:
+            save_if_due(state, out, interruption, watch)
+    _watch(watch)
+    return float(state.processes.total(state.loss_total)) / len(feed.rows)
+
+
+@torch.no_grad()
+def validate(state: TrainingState, train_loss: float, between_batches: Callable[[], None]) -> EpochRecord:
+    """Mean loss and metrics of the validation scenes, without augmentation.
+
+    Raises
+    ------
+    TrainingError : the loss is not finite.
+    """
+    network = state.optimisation.judged.eval()
+    feed = state.feeds["validation"]
+    sums = torch.zeros(3, dtype=torch.float64, device=state.processes.device)
+    for block in feed.in_order(state.settings.batch_size):
+        part = block.take([block.rows[place] for place in state.processes.share(range(len(block)))])
+        batch = state.maker.batch(part)
+        output = state.step.output(batch, network)
+        loss = state.step.judge(output, batch)
+        depth_error_m = (state.config.readout.radial_depth_m(output) - batch.radial_depth_m).abs().mean()
+        pred, truth = state.config.readout.mask(output) > 0, batch.mask > 0
+        miou = torch.stack([mask_iou(pred, truth), mask_iou(~pred, ~truth)]).mean()
+        sums += state.processes.own(len(block)) * torch.stack([loss.double(), depth_error_m.double(), miou])
+        between_batches()
+    loss, depth_mae_m, miou = (state.processes.total(sums) / len(feed.rows)).tolist()
+    record = EpochRecord(
+        epoch=len(state.history) + 1,
+        learning_rate=learning_rate(
+            state.settings, state.optimisation.steps - 1, state.optimisation.steps_per_epoch
+        ),
+        train_loss=train_loss,
+        validation_loss=loss,
+        validation_mae_cm=100 * depth_mae_m,
+        validation_miou=miou,
+    )
+    _refuse_bad_validation(record)
+    return record
+
+
+def save_if_due(
+    state: TrainingState, out: Path, interruption: Interruption, watch: LossWatch | None = None
+) -> None:
+    """Write a checkpoint if its time has come or a signal asked to stop; in the second case, stop."""
+    due = time.monotonic() - state.saved_at >= 60 * state.settings.checkpoint_minutes
+    if not state.processes.any(due or interruption.signal is not None):
+        return
+    if watch:
+        _watch(watch)  # a checkpoint must not contain the weights that follow a bad loss
+    state.save(out)
+    if state.processes.any(interruption.signal is not None):
+        epoch = len(state.history) + 1
+        _log.info("stopped in epoch %d after %d batches; --resume continues there", epoch, state.batches_done)
+        interruption.end()
+        raise KeyboardInterrupt  # the signal went to another process
+
+
+def _check_every(state: TrainingState) -> int:
+    """Batches between two checks of the loss; on a GPU a check waits for all queued work."""
+    return 1 if state.processes.device.type == "cpu" else 16
+
+
+def _watch(watch: LossWatch, loss: Tensor | None = None, rows: Sequence[int] = ()) -> None:
+    """Note the loss of a batch, or check all that are unchecked; `TrainingError` if one is bad."""
+    try:
+        if loss is None:
+            watch.look()
+        else:
+            watch.add(loss.detach(), rows)
+    except LossError as error:
+        raise TrainingError(
+            f"{error}: try a smaller learning rate or clip_norm; the run keeps its last checkpoint"
+        ) from None
+
+
+def _refuse_bad_validation(record: EpochRecord) -> None:
+    """`TrainingError` for a validation loss that is not finite: no later loss would compare as better."""
+    if not math.isfinite(record.validation_loss):
+        raise TrainingError(
+            f"the validation loss became {record.validation_loss} in epoch {record.epoch}: try a smaller "
+            "learning rate or clip_norm; the run keeps its last checkpoint"
+        )
+
+
+def _epoch_seed(seed: int, epoch: int) -> int:
+    """Seed of an epoch's random numbers, independent of those of other epochs and seeds."""
+    return int(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0] >> np.uint64(1))

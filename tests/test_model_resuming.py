@@ -1,0 +1,184 @@
+"""A resumed training ends like one that was never interrupted, to the bit."""
+
+import logging
+import os
+import shutil
+import signal
+
+import pytest
+from synthetic_dataset import write_synthetic_dataset
+from training_runs import assert_same_end, before_each_network, checkpoint, settings
+
+from model.data.rows import RowLayout
+from model.run_folder import RunError, run_settings
+from model.settings import settings_from_dict
+from model.training.loop import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+EXIT_CODE_OF_SIGTERM = 128 + signal.SIGTERM
+
+
+@pytest.fixture(scope="module")
+def whole(closed_form_scenes, tmp_path_factory):
+    """Results and folders of runs of two to four epochs that nothing interrupted."""
+    root = tmp_path_factory.mktemp("whole")
+    return {
+        epochs: (
+            train(closed_form_scenes, root / str(epochs), settings(max_epochs=epochs)),
+            root / str(epochs),
+        )
+        for epochs in (2, 3, 4)
+    }
+
+
+@pytest.fixture
+def streamed(tmp_path, monkeypatch):
+    """A dataset in six pieces, and memory for two windows of two of its scenes, or of one piece."""
+    row_bytes = RowLayout(24, 14, 3).row_bytes
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * row_bytes)
+    dataset = write_synthetic_dataset(tmp_path / "data", count=12)
+    return dataset, 4 * row_bytes
+
+
+def test_a_resumed_run_ends_with_the_weights_of_an_uninterrupted_one(
+    closed_form_scenes, whole, finished_run, finished_copy
+):
+    result, folder = whole[4]
+    assert train(closed_form_scenes, finished_copy, settings(max_epochs=4), resume=True) == result
+    assert_same_end(finished_copy, folder)
+    end, before = checkpoint(finished_copy)["network"], checkpoint(finished_run)["network"]
+    assert any(not weight.equal(before[name]) for name, weight in end.items())
+
+
+def test_a_resumed_streamed_run_ends_with_the_weights_of_an_uninterrupted_one(streamed, tmp_path, caplog):
+    dataset, memory_bytes = streamed
+    long = settings(max_epochs=4, batch_size=5)
+    whole = train(dataset, tmp_path / "whole", long, memory_bytes=memory_bytes)
+    half = settings(max_epochs=2, batch_size=5)
+    train(dataset, tmp_path / "run", half, memory_bytes=memory_bytes)
+    # A machine with more memory keeps the windows; a machine with less keeps them too and warns.
+    three = settings(max_epochs=3, batch_size=5)
+    train(dataset, tmp_path / "run", three, resume=True)
+    assert caplog.text == ""
+    assert train(dataset, tmp_path / "run", long, resume=True, memory_bytes=0) == whole
+    assert "keeps this number" in caplog.text
+    assert_same_end(tmp_path / "run", tmp_path / "whole")
+
+
+def test_pieces_change_nothing_as_long_as_memory_holds_them_all(streamed, finished_run, tmp_path):
+    train(streamed[0], tmp_path / "pieces", settings())
+    weights = (finished_run / "best.safetensors").read_bytes()
+    assert (tmp_path / "pieces" / "best.safetensors").read_bytes() == weights
+    train(streamed[0], tmp_path / "streamed", settings(), memory_bytes=streamed[1])
+    assert (tmp_path / "streamed" / "best.safetensors").read_bytes() != weights
+
+
+def test_an_interrupted_epoch_is_begun_again(closed_form_scenes, whole, tmp_path):
+    run, killed = tmp_path / "run", []
+
+    def kill(_: object) -> None:
+        if (run / "checkpoint.pt").exists() and not killed:
+            killed.append(True)
+            raise KeyboardInterrupt
+
+    with before_each_network(kill), pytest.raises(KeyboardInterrupt):
+        train(closed_form_scenes, run, settings())
+    assert killed
+    assert train(closed_form_scenes, run, settings(), resume=True) == whole[2][0]
+    assert_same_end(run, whole[2][1])
+
+
+@pytest.mark.parametrize(
+    ("number", "ending"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_a_training_that_is_asked_to_stop_goes_on_in_the_middle_of_its_epoch(
+    closed_form_scenes, tmp_path, number, ending
+):
+    course = {"max_epochs": 3, "batch_size": 2, "ema_decay": 0.9, "schedule": "cosine"}
+    course["checkpoint_minutes"] = 10.0  # the signal alone is a reason for a checkpoint
+    batches_an_epoch = -(-len(closed_form_scenes.ids("train")) // 2)
+    assert batches_an_epoch > 2
+    batches = []
+
+    def ask(network) -> None:
+        batches.append(network.training)
+        if sum(batches) == batches_an_epoch + 2 and network.training:  # the second batch of epoch 2
+            os.kill(os.getpid(), number)
+
+    run = tmp_path / "run"
+    with before_each_network(ask), pytest.raises(ending) as stopped:
+        train(closed_form_scenes, run, settings(**course))
+    assert number == signal.SIGINT or stopped.value.code == EXIT_CODE_OF_SIGTERM
+    state = checkpoint(run)
+    assert (len(state["history"]), state["position"]["batches"]) == (1, 2)
+    whole = train(closed_form_scenes, tmp_path / "whole", settings(**course))
+    assert train(closed_form_scenes, run, settings(**course), resume=True) == whole
+    assert checkpoint(run)["history"] == checkpoint(tmp_path / "whole")["history"]
+    assert_same_end(run, tmp_path / "whole")
+
+
+def test_a_training_that_is_asked_to_stop_while_it_validates_goes_on_there(
+    closed_form_scenes, whole, tmp_path
+):
+    run, asked = tmp_path / "run", []
+
+    def ask(network) -> None:
+        if not network.training and (run / "history.csv").exists() and not asked:
+            asked.append(True)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with before_each_network(ask), pytest.raises(KeyboardInterrupt):
+        train(closed_form_scenes, run, settings(checkpoint_minutes=10.0))
+    assert len(checkpoint(run)["history"]) == 1
+    assert train(closed_form_scenes, run, settings(), resume=True) == whole[2][0]
+    assert_same_end(run, whole[2][1])
+
+
+def test_weights_of_a_later_epoch_than_the_checkpoints_are_taken_back(
+    closed_form_scenes, whole, finished_copy
+):
+    result, three = whole[3]
+    for file in ("best.safetensors", "history.csv"):
+        shutil.copy(three / file, finished_copy / file)
+    assert train(closed_form_scenes, finished_copy, settings(max_epochs=3), resume=True) == result
+    assert_same_end(finished_copy, three)
+
+
+def test_resuming_a_finished_run_does_nothing_and_says_so(closed_form_scenes, finished_copy, caplog):
+    before = (finished_copy / "checkpoint.pt").read_bytes()
+    caplog.set_level(logging.INFO)
+    assert train(closed_form_scenes, finished_copy, settings(), resume=True).epochs == 2
+    assert "finished already, after 2 epochs" in caplog.text
+    assert (finished_copy / "checkpoint.pt").read_bytes() == before
+
+
+def test_the_settings_of_a_run_resume_it(closed_form_scenes, finished_copy, finished_run):
+    stored = run_settings(finished_copy)
+    assert stored["batch_size"] == 3
+    assert settings_from_dict(stored, "run.json") == settings()
+    longer = settings_from_dict(stored | {"max_epochs": 3}, "run.json")
+    assert train(closed_form_scenes, finished_copy, longer, resume=True).epochs == 3
+    with pytest.raises(RunError, match="is no training run"):
+        run_settings(finished_run.parent)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [({"seed": 5}, "seed was 0 and is now 5"), ({"width": 3}, "width"), ({"channels": "paper"}, "channels")],
+)
+def test_resuming_with_other_settings_is_refused_by_name(closed_form_scenes, finished_copy, change, named):
+    with pytest.raises(RunError, match=f"cannot be resumed: {named}"):
+        train(closed_form_scenes, finished_copy, settings(**change), resume=True)
+
+
+def test_a_schedule_that_ends_with_the_run_cannot_be_made_longer(closed_form_scenes, tmp_path):
+    ending = {"schedule": "cosine", "max_epochs": 1}
+    train(closed_form_scenes, tmp_path / "run", settings(**ending))
+    with pytest.raises(RunError, match=r"max_epochs was 1 and is now 2 \(the learning rate's schedule"):
+        train(closed_form_scenes, tmp_path / "run", settings(**ending | {"max_epochs": 2}), resume=True)
+
+
+def test_resuming_on_another_dataset_is_refused(finished_copy, tmp_path):
+    other = write_synthetic_dataset(tmp_path / "other", count=8)
+    with pytest.raises(RunError, match="dataset is not the one"):
+        train(other, finished_copy, settings(), resume=True)

@@ -1,0 +1,45 @@
+"""Training settings: presets, and values that are refused by name."""
+
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from model.settings import TrainSettings, settings_from_dict, training_preset
+from scenegen import PresetError
+
+PRESETS = Path(__file__).parent.parent / "data" / "training"
+
+
+def test_settings_refuse_what_makes_no_sense():
+    for change in ({"channels": "all"}, {"batch_size": 0}, {"learning_rate": -1.0}, {"device": "tpu"}):
+        with pytest.raises(ValueError, match=next(iter(change))):
+            TrainSettings(**change)
+
+
+def test_every_training_preset_is_one_that_settings_take_and_differs_from_its_base_by_its_own_keys():
+    paper = settings_from_dict(*training_preset("paper"))
+    for file in PRESETS.glob("*.toml"):
+        preset = settings_from_dict(*training_preset(file.stem))
+        if file.stem.startswith("ablation-"):
+            own = {key for key in tomllib.loads(file.read_text()) if key != "extends"}
+            assert len(own) == 1, file
+            names = [field.name for field in fields(TrainSettings)]
+            changed = {name for name in names if getattr(preset, name) != getattr(paper, name)}
+            assert changed <= own, file
+
+
+def test_a_preset_extends_one_beside_it(tmp_path):
+    (tmp_path / "base.toml").write_text('width = 5\nloss = "mse"\n')
+    (tmp_path / "mine.toml").write_text('extends = "base.toml"\nwidth = 6\n')
+    data, origin = training_preset(str(tmp_path / "mine.toml"))
+    assert data == {"width": 6, "loss": "mse"}
+    assert origin.endswith("mine.toml")
+
+
+def test_presets_that_extend_each_other_in_a_circle_are_refused(tmp_path):
+    for name, other in (("a", "b"), ("b", "a")):
+        (tmp_path / f"{name}.toml").write_text(f'extends = "{tmp_path / other}.toml"\n')
+    with pytest.raises(PresetError, match="circle"):
+        training_preset(str(tmp_path / "a.toml"))
