@@ -1,8 +1,8 @@
-"""The paper's ablations, and one of the input channels: trains and evaluates every row of the table.
+"""Ablations of the paper and of the input channels: train and evaluate every row of the table.
 
-A row takes the preset of its name in data/training, without the preset that it extends, and applies it on
-top of --preset. Interrupted runs continue and finished runs are only evaluated, so the table can be made
-in steps.
+Each row has a preset in data/training. Its own keys, without the preset that it extends, are applied to
+--preset. Interrupted runs continue and finished runs are only evaluated, so the table can be made in steps.
+Run:
 
     .venv/bin/python benchmarks/ablations.py mydata --out ablations --width 16 --max-epochs 30 --seeds 2
 """
@@ -30,7 +30,7 @@ BATCH = 16
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: its preset, what it says, and the paper's MAE in cm and mIoU."""
+    """A row of the table: its preset, its label, and the MAE in cm and the mIoU of the paper."""
 
     preset: str | None
     words: str
@@ -38,7 +38,7 @@ class Row:
 
 
 ROWS = (
-    Row(None, "all of the below as in the base", "5.21 / 0.77"),
+    Row(None, "base", "5.21 / 0.77"),
     Row("ablation-20mhz", "20 MHz alone", "6.15 / 0.74"),
     Row("ablation-50mhz", "50 MHz alone", "10.33 / 0.68"),
     Row("ablation-60mhz", "60 MHz alone", "9.43 / 0.69"),
@@ -49,20 +49,22 @@ ROWS = (
     Row("ablation-components", "error of the components"),
     Row("ablation-depth", "error of the depth"),
     Row("ablation-paper-channels", "channels: the paper's seven", "5.21 / 0.77"),
-    Row("ablation-residual", "channels: hidden light alone"),
+    Row("ablation-residual", "channels: residual alone"),
     Row("ablation-paper-residual", "channels: both"),
 )
 
 
 def main() -> None:
-    """Train and judge what is not there yet, then print the table."""
+    """Train and evaluate the rows that are not finished, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
-    parser.add_argument("--preset", default="default", help="base of all rows, default: default")
-    parser.add_argument("--width", type=int, help="channels of the first level instead of the base's")
-    parser.add_argument("--max-epochs", type=int, help="instead of the base's")
-    parser.add_argument("--seeds", type=int, default=1, help="runs a row, default 1")
+    parser.add_argument(
+        "--preset", default="default", help="preset that all rows are applied to, default: default"
+    )
+    parser.add_argument("--width", type=int, help="channels of the first level, default from --preset")
+    parser.add_argument("--max-epochs", type=int, help="default from --preset")
+    parser.add_argument("--seeds", type=int, default=1, help="runs per row, default 1")
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     dataset = open_dataset(given.dataset)
@@ -75,7 +77,7 @@ def main() -> None:
         for row in ROWS:
             settings = settings_from_dict(base | own_keys(row) | {"seed": seed}, str(row.preset))
             out = given.out / f"{row.preset or 'base'}-{seed}"
-            if settings not in done:  # several rows name what the base does anyway
+            if settings not in done:  # several rows have the settings of the base
                 done[settings] = out
                 train(dataset, out, settings, resume=(out / "run.json").is_file())
             results[row].append(judged(load(done[settings]), shards, shards.rows("test")))
@@ -84,7 +86,7 @@ def main() -> None:
 
 
 def own_keys(row: Row) -> dict[str, object]:
-    """What the row's preset changes."""
+    """Keys in the preset of the row, without those of the preset that it extends."""
     keys = read_settings("training", row.preset)[0] if row.preset else {}
     keys.pop("extends", None)
     return keys
@@ -96,7 +98,7 @@ def judged(
     rows: Sequence[int],
     reference: NDArray[np.complexfloating] | None = None,
 ) -> Summary:
-    """Metrics of some rows; `reference` (H, W, F) instead of the direct return of the run's own wall."""
+    """Metrics of scenes; `reference` (H, W, F) replaces the direct return of the wall that the run knows."""
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
     feed = Feed(shards, rows, window_rows=0)
     metrics = []
@@ -108,7 +110,7 @@ def judged(
 
 
 def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
-    """The table as Markdown, the empty prediction last."""
+    """Print the table as Markdown; the last row is the prediction that there is no object."""
     rows = shards.rows("test")
     block = shards.read(rows)
     pairs = zip(block.radial_depth_m, block.mask, strict=True)
@@ -122,7 +124,7 @@ def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
 
 
 def line(row: Row, summaries: list[Summary]) -> str:
-    """A row: the mean of its seeds, and in brackets each of them when there are several."""
+    """A row of the table: the mean over seeds and, if there are several, each of them in brackets."""
     cells = [row.words]
     for values, digits in (
         ([100 * s.depth_mae_m.mean for s in summaries], 2),

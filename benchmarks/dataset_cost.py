@@ -1,7 +1,8 @@
-"""Time of every stage of a dataset on this machine, and a projection to 1344 and 100,000 scenes.
+"""Time of each stage of a dataset on this machine, and an estimate for 1344 and 100,000 scenes.
 
-The scheduler's time is measured with empty jobs. The projection is the larger of time per scene / workers
-and the scheduler's time per scene. A worker is a machine like this one.
+The time of the scheduler is measured with empty jobs. The estimated time per scene is the larger of two
+times: that of a scene divided by the number of workers, and that of the scheduler. A worker is a machine
+like this one. Run:
 
     .venv/bin/python benchmarks/dataset_cost.py --size 160x120
 """
@@ -23,7 +24,7 @@ from render.options import ManyLightOptions
 from render.settings import RenderSettings
 from scenegen import Dataset, open_dataset
 
-WARM_UP = 7  # one of each class: all kernels are compiled then
+WARM_UP = 7  # scenes, one of each class, that compile all kernels
 NO_OPS = 10_000
 WORKERS = (1, 8, 64)
 SCENES = (1344, 100_000)
@@ -34,8 +35,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", default="160x120", help="image size, default 160x120")
     parser.add_argument("--scenes", type=int, default=28, help="scenes to render to phasors, default 28")
-    parser.add_argument("--transients", type=int, default=14, help="scenes to render to transients")
-    parser.add_argument("--error", type=float, default=0.01, help="of the hidden signal, default 0.01")
+    parser.add_argument(
+        "--transients", type=int, default=14, help="scenes to render to transients, default 14"
+    )
+    parser.add_argument("--error", type=float, default=0.01, help="error of the hidden signal, default 0.01")
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
     with TemporaryDirectory() as folder:
@@ -54,7 +57,7 @@ def main() -> None:
 
 
 def made_scenes(root: Path, size: tuple[int, int], count: int) -> float:
-    """Seconds that night-gen takes for a dataset. A process of its own: workers cannot follow Blender."""
+    """Seconds that night-gen takes for a dataset. A process with Blender could not spawn workers later."""
     preset = root.with_suffix(".toml")
     preset.write_text(f"[camera]\nwidth = {size[0]}\nheight = {size[1]}\n")
     night_gen = Path(sys.executable).with_name("night-gen")
@@ -65,7 +68,7 @@ def made_scenes(root: Path, size: tuple[int, int], count: int) -> float:
 
 
 def render_cost(client: object, dataset: Dataset, settings: RenderSettings, count: int) -> float:
-    """Seconds a scene that one worker takes, after its kernels are compiled."""
+    """Seconds per scene with one worker whose kernels are compiled."""
     ids = dataset.ids()[:count]
     queue = RenderQueue(client, dataset, settings, "warm-up", lambda *_: None)
     queue.run(ids[:WARM_UP])
@@ -75,7 +78,7 @@ def render_cost(client: object, dataset: Dataset, settings: RenderSettings, coun
 
 
 def shard_cost(dataset: Dataset) -> float:
-    """Seconds a scene of making the shards that training reads."""
+    """Seconds per scene to build the shards for training."""
     started = time.perf_counter()
     open_shards(dataset)
     return (time.perf_counter() - started) / len(dataset.ids())
@@ -87,7 +90,7 @@ def no_op(job: Job) -> Outcome:
 
 
 def scheduler_cost(dataset: Dataset) -> float:
-    """Seconds a job that queue and scheduler take by themselves."""
+    """Seconds per job that the queue and the scheduler need."""
     with connected(workers=2, scheduler=None, cluster_file=None, device="cpu") as client:
         queue = RenderQueue(client, dataset, RenderSettings(), "no-op", lambda *_: None, work=no_op)
         queue.run(f"{number:06d}" for number in range(100))
@@ -97,10 +100,10 @@ def scheduler_cost(dataset: Dataset) -> float:
 
 
 def report(costs: dict[str, float], overhead: float, given: argparse.Namespace) -> None:
-    """Print what was measured and what follows."""
+    """Print the measured times and the estimate."""
     cores = len(os.sched_getaffinity(0))
     print(f"{given.size} pixels, hidden-signal error {given.error}, {cores} cores\n")
-    print("| stage | seconds a scene | scenes an hour |\n|---|---|---|")
+    print("| stage | seconds per scene | scenes per hour |\n|---|---|---|")
     for stage, seconds in costs.items():
         print(f"| {stage} | {seconds:.3g} | {3600 / seconds:,.0f} |")
     print(

@@ -1,4 +1,4 @@
-"""The four scenes of the rendering benchmarks: roughness 0.3 to 0.9, one of them a composite."""
+"""The four scenes of the rendering benchmarks: roughness 0.3 to 0.9, one composite object."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ SCENES = (("sphere", 0.3), ("cube", 0.6), ("concave_plane", 0.9), ("composite", 
 
 @contextmanager
 def four_scenes() -> Iterator[list[tuple[str, Dataset, str]]]:
-    """(name, dataset, scene id) of each; the files are gone afterwards."""
+    """(name, dataset, scene id) of each scene; the files are deleted at the end of the block."""
     with TemporaryDirectory() as folder:
         maker, found = BlenderMaker(), []
         for name, roughness in SCENES:

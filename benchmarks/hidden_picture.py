@@ -1,6 +1,6 @@
-"""Draw docs/hidden_signal.png: the camera's measurement, and the part of it that met the hidden object.
+"""Draw docs/hidden_signal.png: the measurement of the camera and its hidden part, for three scenes.
 
-Both are shown for three scenes at 160 x 120. Run:
+Run:
 
     .venv/bin/python benchmarks/hidden_picture.py
 """

@@ -1,7 +1,7 @@
-"""The paper's 1344 scenes: time in Blender, sizes of the splits, and ratio of background to object pixels.
+"""The 1344 scenes of the paper: time in Blender, sizes of the splits, ratio of background to object pixels.
 
-The authors' training log gives a ratio of 30.2. Comparing it with ours checks the sizes of the primitives
-(docs/design.md, Primitive sizes). Run:
+The training log of the released code gives a ratio of 30.2. Comparing it with our ratio checks the sizes of
+the primitives (docs/design.md, Primitive sizes). Run:
 
     .venv/bin/python benchmarks/paper_dataset.py
 """
@@ -22,7 +22,7 @@ REFERENCE_HZ = 20e6
 
 
 def main() -> None:
-    """Make the scenes, trace one ray a pixel into each mirrored one, print what comes out."""
+    """Make the scenes, trace one ray per pixel of each mirrored scene, and print the results."""
     with TemporaryDirectory() as folder:
         maker = BlenderMaker()
         started = time.perf_counter()

@@ -1,7 +1,7 @@
-"""Compare ``many-light`` with the path tracer on four scenes: ratio of image sums, and scatter of the pixels.
+"""Compare ``many-light`` with the path tracer on four scenes: image sums and single pixels.
 
-Many independent path-traced renders give the path tracer's mean and its noise. The ratio of image sums
-should be 1 within that noise. The mean square of (pixel difference / noise) should be 1. Run:
+Many independent renders give the mean and the noise of the path tracer. The ratio of image sums should be 1
+within that noise. The mean square of (pixel difference / noise) should be 1. Run:
 
     .venv/bin/python benchmarks/path_agreement.py
 """
@@ -32,7 +32,7 @@ def main() -> None:
     variant = select_variant()
     import mitsuba as mi
 
-    print(f"{given.runs} renders of {given.spp} paths a pixel, 24 x 18 pixels, 8192 lights")
+    print(f"{given.runs} renders of {given.spp} paths per pixel, 24 x 18 pixels, 8192 lights")
     print("scene                 MHz   path / many-light    sigma   mean square z")
     with four_scenes() as scenes:
         for name, dataset, scene_id in scenes:

@@ -23,7 +23,7 @@ from scenegen.making.blender import BlenderMaker
 from scenegen.making.generation import generate
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
-REFERENCE_SPP = 16384  # its own noise of 8-11 % changes the norm by half a percent
+REFERENCE_SPP = 16384  # the noise of this render, 8 to 11 %, changes the norm by about 0.5 %
 
 
 def main() -> None:
@@ -57,7 +57,7 @@ def main() -> None:
             norm = np.sqrt(np.mean(np.abs(hidden) ** 2, axis=(0, 1)))  # (F,)
             for spp in given.spp:
                 (a, _), (b, seconds) = measure(spp, 1), measure(spp, 2)
-                variance = np.mean(np.abs(a - b) ** 2, axis=(0, 1)) / 2  # of one of two renders, not a path
+                variance = np.mean(np.abs(a - b) ** 2, axis=(0, 1)) / 2
                 error = np.sqrt(variance) / norm
                 rate = given.width * height * spp / seconds / 1e6
                 name = dataset.entry(scene_id).object_class

@@ -53,7 +53,7 @@ def pairs(product: str, error: float) -> None:
 
 
 def growth() -> None:
-    """How the gather pass grows with pixels, lights and triangles; transients with bins; the ray limit."""
+    """Time of the gather pass for numbers of pixels, lights and triangles, and of transients for bins."""
     variant = select_variant()
     import drjit as dr
     import mitsuba as mi
@@ -62,27 +62,10 @@ def growth() -> None:
         name, dataset, scene_id = scenes[0]
         file = dataset.scene_folder(scene_id) / "scene.xml"
         scene = mi.load_file(str(file), optimize=False)
-
-        def gather(width, lights, scene=scene):
-            layout = TransientLayout(width, width * 3 // 4, 2000, 0.01, 0.0)
-            made = (
-                ManyLight(ManyLightOptions(lights=lights), variant)
-                .expose(scene, View(layout, HZ, 3, 1))
-                .lights
-            )
-            grid = Grid(layout.width, layout.height)
-            gather_lights(scene, grid, HZ, gauss_rule(1), made)
-            started = time.perf_counter()
-            gather_lights(scene, grid, HZ, gauss_rule(1), made)
-            seconds = time.perf_counter() - started
-            return seconds, layout.width * layout.height * len(made) / seconds / 1e6
-
-        print(f"gather pass, {name}, {variant}: seconds, million pixel-light pairs a second")
+        print(f"gather pass, {name}, {variant}: seconds, million pixel-light pairs per second")
         for width, lights in ((80, 1024), (160, 1024), (320, 256), (320, 1024), (320, 4096)):
-            print(
-                f"  {width:4d} wide, {lights:5d} lights: {gather(width, lights)[0]:7.2f} s "
-                f"{gather(width, lights)[1]:7.1f} M/s"
-            )
+            seconds, rate = gather(scene, variant, width, lights)
+            print(f"  {width:4d} wide, {lights:5d} lights: {seconds:7.2f} s {rate:7.1f} M/s")
         print(f"  bare ray_test on the same scene: {ray_tests(scene):7.1f} M rays/s")
         mesh_file = dataset.scene_folder(scene_id) / "hidden_object_0.ply"
         mesh = trimesh.load(mesh_file)
@@ -90,20 +73,39 @@ def growth() -> None:
             mesh = mesh.subdivide()
             mesh_file.write_bytes(mesh.export(file_type="ply"))
             finer = mi.load_file(str(file), optimize=False)
-            seconds, rate = gather(320, 1024, finer)
+            seconds, rate = gather(finer, variant, 320, 1024)
             print(f"  {len(mesh.faces):7d} triangles: {seconds:7.2f} s {rate:7.1f} M/s")
         for bins in (500, 2000, 8000):
-            layout = TransientLayout(80, 60, bins, 20 / bins, 0.0)
-            exposure = ManyLight(ManyLightOptions(lights=1024), variant).expose(scene, View(layout, HZ, 3, 1))
-            started = time.perf_counter()
-            for _ in exposure.row_blocks():
-                pass
-            print(f"  transient, 80 x 60, {bins:5d} bins: {time.perf_counter() - started:7.2f} s")
+            seconds = transient(scene, variant, bins)
+            print(f"  transient, 80 x 60, {bins:5d} bins: {seconds:7.2f} s")
         dr.sync_thread()
 
 
+def gather(scene, variant: str, width: int, lights: int) -> tuple[float, float]:
+    """Seconds of the gather pass, and million pixel-light pairs per second."""
+    layout = TransientLayout(width, width * 3 // 4, 2000, 0.01, 0.0)
+    method = ManyLight(ManyLightOptions(lights=lights), variant)
+    made = method.expose(scene, View(layout, HZ, 3, 1)).lights
+    grid = Grid(layout.width, layout.height)
+    gather_lights(scene, grid, HZ, gauss_rule(1), made)  # compiles the kernels
+    started = time.perf_counter()
+    gather_lights(scene, grid, HZ, gauss_rule(1), made)
+    seconds = time.perf_counter() - started
+    return seconds, layout.width * layout.height * len(made) / seconds / 1e6
+
+
+def transient(scene, variant: str, bins: int) -> float:
+    """Seconds of a transient with 80 x 60 pixels and 1024 lights."""
+    layout = TransientLayout(80, 60, bins, 20 / bins, 0.0)
+    exposure = ManyLight(ManyLightOptions(lights=1024), variant).expose(scene, View(layout, HZ, 3, 1))
+    started = time.perf_counter()
+    for _ in exposure.row_blocks():
+        pass
+    return time.perf_counter() - started
+
+
 def ray_tests(scene) -> float:
-    """Million occlusion rays a second, from the relay wall to where the hidden object is."""
+    """Million occlusion rays per second, from the relay wall to the place of the hidden object."""
     import drjit as dr
     import mitsuba as mi
 
@@ -125,7 +127,7 @@ def ray_tests(scene) -> float:
 
 
 def main() -> None:
-    """Run one of the three."""
+    """Run the chosen benchmark."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("what", choices=["itof", "transient", "growth"])
     arguments.add_argument("--error", type=float, default=0.005)

@@ -1,10 +1,10 @@
 """Time at equal error of ``many-light`` and of mitransient's own ``transient_path``, in one run.
 
-For each of four scenes, measures the noise of the hidden 60 MHz phasors of both methods (half the squared
-difference of two seeds, relative to the hidden signal) and their time. The product error² x time is
-proportional to the time for a given error; the ratio of both products says how many times faster ``many-
-light`` is. The bias of the stock method (box bins, paths that start at the near clip plane) is not
-counted, in its favour. Run:
+For each of four scenes, measures the time of both methods and the noise of their hidden 60 MHz phasors,
+relative to the hidden signal. Half the squared difference of two seeds is the variance. Error² x time is
+proportional to the time for a given error, so the ratio of these products says how many times faster
+``many-light`` is. The bias of the stock method (box bins, paths that start at the near clip plane) is not
+counted, which favours the stock method. Run:
 
     .venv/bin/python benchmarks/render_efficiency.py
 """
@@ -59,10 +59,10 @@ def main() -> None:
 
             needs = {}
             for method, label in ((stock, f"stock, {given.spp} spp"), (many_light, f"{given.lights} lights")):
-                method(0)  # compiles
+                method(0)  # compiles the kernels
                 started = time.perf_counter()
                 a, b = method(1), method(2)
-                seconds = (time.perf_counter() - started) / 2  # two renders, not a path
+                seconds = (time.perf_counter() - started) / 2
                 error = np.linalg.norm(a - b) / np.sqrt(2) / norm
                 needs[method] = error**2 * seconds
                 ratio = f"{needs[stock] / needs[method]:10.0f}"
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def stock_transient_path(scene, layout: TransientLayout, spp: int, seed: int) -> np.ndarray:
-    """(H, W, 1) 60 MHz phasors by mitransient's own integrator, film and an independent sampler."""
+    """(H, W, 1) 60 MHz phasors with the integrator and film of mitransient and an independent sampler."""
     import mitsuba as mi
 
     sensor = scene.sensors()[0]

@@ -1,8 +1,8 @@
 """Time and memory to build shards, to open them and to read them once, on a synthetic dataset.
 
 Each step runs in a separate process, because memory is the peak of the process. The first line is for the
-imports alone. Streaming holds one piece and reads the next one ahead. Before both epochs, the disk cache
-is dropped where the system allows it. Run:
+imports alone. Streaming keeps one piece in memory and reads the next one ahead. Before each epoch, the
+system is asked to drop the shards from its disk cache. Run:
 
     .venv/bin/python benchmarks/shard_cost.py [--scenes 160] [--size 320x240]
 """
@@ -31,7 +31,7 @@ STEPS = {
 
 
 def measure(step: str, folder: Path) -> None:
-    """Do one step in this process; print its seconds, peak memory in MB, and MB read."""
+    """Do one step in this process; print its time in seconds, peak memory in MB, and MB read."""
     import torch
 
     from model.data.feed import Feed
@@ -55,7 +55,7 @@ def measure(step: str, folder: Path) -> None:
 
 
 def make_dataset(folder: Path, count: int, width: int, height: int) -> None:
-    """Closed-form scenes of the tests, the renders of the first standing in for all: writing EXR is slow."""
+    """Write closed-form scenes of the tests. All have copies of one render, because writing EXR is slow."""
     sys.path.insert(0, str(ROOT / "tests"))
     from synthetic_dataset import write_synthetic_dataset, write_synthetic_render
 
@@ -67,7 +67,7 @@ def make_dataset(folder: Path, count: int, width: int, height: int) -> None:
 
 
 def forget(folder: Path) -> None:
-    """Ask the system to drop what its cache holds of the shards."""
+    """Ask the system to drop the shards from its disk cache."""
     for file in folder.rglob("*.npy"):
         descriptor = os.open(file, os.O_RDONLY)
         os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
@@ -75,7 +75,7 @@ def forget(folder: Path) -> None:
 
 
 def change_scene(folder: Path) -> None:
-    """Render a scene in the middle once more, a little brighter."""
+    """Make the measurement of a scene in the middle 1 % brighter."""
     from itof import read_image, write_image
     from scenegen import open_dataset
 

@@ -1,13 +1,15 @@
-"""Training speed in samples per second, compared with a plain loop and with the machine's limits.
+"""Training speed in samples per second, compared with a plain loop and with the limits of the machine.
 
 One run on this machine measures three things:
 
-- our training step in several precisions (rows resident on the device, channels and augmentation made
-  there);
-- a plain loop of the same network, loss and Adam, with channels and augmentation made in numpy for every
-  batch;
-- the roofline: the time of the network's multiplications and of its memory traffic, at the speed that
-  this machine reaches in large matrix products and copies.
+- our training step in several precisions; rows are on the device, channels and augmentation are computed
+  there;
+- a plain loop with the same network, loss and Adam; channels and augmentation are computed in numpy for
+  each batch;
+- the roofline: the time of the multiplications and of the memory traffic of the network, at the speed of
+  large matrix products and copies on this machine.
+
+Run:
 
     .venv/bin/python benchmarks/train_throughput.py --size 80x60 --size 320x240
 """
@@ -45,12 +47,14 @@ WAYS = ("plain", "float32", "bfloat16", "compiled bfloat16")
 
 
 def main() -> None:
-    """Measure every size and way in a process of its own, so that each has its own peak of memory."""
+    """Measure every size and way in a separate process, because peak memory is that of the process."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", action="append", help="image size, default 80x60 and 320x240")
     parser.add_argument("--width", type=int, default=32)
     parser.add_argument("--batch-size", type=int, default=16)
-    parser.add_argument("--seconds", type=float, default=20.0, help="that each way is measured, at least")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="least time that each way is measured, default 20"
+    )
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     parser.add_argument("--compile", action="store_true", help="measure torch.compile too")
     parser.add_argument("--way", choices=[*WAYS, "roofline"], help=argparse.SUPPRESS)
@@ -79,7 +83,7 @@ def main() -> None:
 
 
 def child(given: argparse.Namespace, size: str, way: str) -> list[str]:
-    """Numbers that a process of its own prints for one size and way."""
+    """Numbers that a separate process prints for one size and way."""
     words = [__file__, "--size", size, "--way", way, "--width", given.width, "--device", given.device]
     words += ["--batch-size", given.batch_size, "--seconds", given.seconds]
     done = subprocess.run([sys.executable, *map(str, words)], check=True, stdout=subprocess.PIPE, text=True)
@@ -87,7 +91,7 @@ def child(given: argparse.Namespace, size: str, way: str) -> list[str]:
 
 
 def measured(given: argparse.Namespace) -> str:
-    """Samples a second and peak bytes of one way."""
+    """Samples per second and peak memory in bytes of one way."""
     width, height = map(int, given.size[0].split("x"))
     device = choose_device(given.device)
     settings = TrainSettings(
@@ -112,7 +116,7 @@ def measured(given: argparse.Namespace) -> str:
 
 
 def random_block(width: int, height: int, count: int) -> RowBlock:
-    """Rows with a wall's direct return, hidden light and some object pixels."""
+    """Rows with the direct return of a wall, hidden light and some object pixels."""
     rng = np.random.default_rng(0)
     direct = VIEW.direct_phasors(width, height, FREQUENCIES_HZ)
     opl_m = rng.uniform(6, 9, (count, height, width, 1))
@@ -129,7 +133,7 @@ def random_block(width: int, height: int, count: int) -> RowBlock:
 
 
 def our_step(config: RunConfig, block: RowBlock, device: torch.device) -> Callable[[], None]:
-    """A step of the real training, on rows that are on the device."""
+    """A step of the real training, with rows on the device."""
     size = (config.image_width, config.image_height)
     reference = config.geometry.direct_phasors(*size, FREQUENCIES_HZ)
     maker = BatchMaker.for_shards(config.inputs, FREQUENCIES_HZ, reference, device)
@@ -145,7 +149,7 @@ def our_step(config: RunConfig, block: RowBlock, device: torch.device) -> Callab
 
 
 def plain_step(config: RunConfig, block: RowBlock, device: torch.device) -> Callable[[], None]:
-    """A step as one would write it first: numpy channels, float32, images in PyTorch's default order."""
+    """A simple training step: channels in numpy, float32, images in the default memory format of PyTorch."""
     network = config.network().to(device)
     adam = torch.optim.Adam(network.parameters(), lr=1e-6)
     loss_of = NightLoss(config.readout)
@@ -173,7 +177,7 @@ def plain_step(config: RunConfig, block: RowBlock, device: torch.device) -> Call
 
 
 def rate(step: Callable[[], None], batch_size: int, seconds: float, device: torch.device) -> float:
-    """Samples a second after three steps of warming up."""
+    """Samples per second, after three steps that warm up."""
     for _ in range(3):
         step()
     synchronise(device)
@@ -188,7 +192,7 @@ def rate(step: Callable[[], None], batch_size: int, seconds: float, device: torc
 
 
 def roofline(given: argparse.Namespace) -> str:
-    """Samples a second at the peaks of this machine, in float32 and in bfloat16 convolutions."""
+    """Samples per second at the limits of this machine, with float32 and with bfloat16 convolutions."""
     width, height = map(int, given.size[0].split("x"))
     device = choose_device(given.device)
     inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5)
@@ -208,7 +212,7 @@ def roofline(given: argparse.Namespace) -> str:
         network(torch.rand(1, 12, height, width, device=device)).sum().backward()
     flops, limits = counter.get_total_flops(), []
     for number in (torch.float32, torch.bfloat16):
-        # Each convolution's output is written once and read once forward, and so is its gradient backward.
+        # The output of each convolution is written once and read once, and so is its gradient.
         traffic = 4 * written * number.itemsize
         seconds = max(flops / flops_per_second(device, number), traffic / bytes_per_second(device))
         limits.append(1 / seconds)
@@ -216,21 +220,21 @@ def roofline(given: argparse.Namespace) -> str:
 
 
 def flops_per_second(device: torch.device, number: torch.dtype) -> float:
-    """Peak of large matrix products."""
+    """Multiplications and additions per second in large matrix products."""
     size = 8192 if device.type == "cuda" else 2048
     a = torch.rand(size, size, device=device).to(number)
-    return 2 * size**3 / fastest(lambda: a @ a, device)  # a multiplication and an addition each
+    return 2 * size**3 / fastest(lambda: a @ a, device)
 
 
 def bytes_per_second(device: torch.device) -> float:
-    """Peak of copies: bytes read and bytes written."""
-    a = torch.rand(2**26, device=device)  # 256 MB, more than caches hold
+    """Bytes per second of copies, bytes read plus bytes written."""
+    a = torch.rand(2**26, device=device)  # 256 MB, more than the caches
     b = torch.empty_like(a)
-    return 2 * a.nbytes / fastest(lambda: b.copy_(a), device)  # read and written
+    return 2 * a.nbytes / fastest(lambda: b.copy_(a), device)
 
 
 def fastest(work: Callable[[], object], device: torch.device) -> float:
-    """Seconds of the fastest of some runs."""
+    """Seconds of the fastest of eight runs."""
     times = []
     for _ in range(8):
         synchronise(device)
@@ -242,7 +246,7 @@ def fastest(work: Callable[[], object], device: torch.device) -> float:
 
 
 def synchronise(device: torch.device) -> None:
-    """Wait until the device has done what it was asked."""
+    """Wait until the device has finished its work."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 

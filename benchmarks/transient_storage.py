@@ -1,10 +1,10 @@
 """Size, time and memory of a transient on disk, in our layout with every lossless compression.
 
-Renders one scene (a sphere, wall roughness 0.3) with many-light or with the path tracer. Writes it as
-scanlines of an EXR file (docs/files.md), and as the HDF5 file of ``render.products.tal_export``, (T, W,
-H) in chunks. Every file is compared with the rendered bits. Times are for calls with warm caches, without
-waiting for the disk. Memory is the peak of a process that only writes, or only reads, 64 MiB of rows at a
-time. Run:
+Renders one scene (a sphere, wall roughness 0.3) with many-light or with the path tracer. Writes it as the
+scanlines of an EXR file (docs/files.md), and in chunks (T, W, H) as the HDF5 file of
+``render.products.tal_export``. Checks that every file has the rendered bits. The disk cache is warm, and
+times do not include writing it to the disk. Memory is the peak of a process that only writes, or only
+reads, 64 MiB of rows at a time. Run:
 
     .venv/bin/python benchmarks/transient_storage.py
     .venv/bin/python benchmarks/transient_storage.py --method path --spp 64
@@ -47,7 +47,7 @@ WriteRows = Callable[[np.ndarray], None]
 
 
 class ExrFile:
-    """The product's layout: one scanline an image row, its pixels one after the other, each as its bins."""
+    """The layout of ``transient.exr``: a scanline is an image row, pixel by pixel, each with all its bins."""
 
     def __init__(self, compression: str) -> None:
         self.code = getattr(OpenEXR, f"{compression}_COMPRESSION")
@@ -72,7 +72,7 @@ class ExrFile:
 
 
 class Hdf5File:
-    """The export's layout: (T, W, H) in chunks."""
+    """The layout of the export for tal: (T, W, H) in chunks."""
 
     def __init__(self, options: dict) -> None:
         self.options = options
@@ -102,13 +102,13 @@ class Hdf5File:
 
 
 def candidates() -> dict[str, ExrFile | Hdf5File]:
-    """All layouts by name, as far as this OpenEXR has them."""
+    """All layouts by name, without compressions that this OpenEXR does not have."""
     exr = {f"EXR {name}": ExrFile(name) for name in EXR if hasattr(OpenEXR, f"{name}_COMPRESSION")}
     return exr | {f"HDF5 {name}": Hdf5File(options) for name, options in HDF5.items()}
 
 
 def raw_blocks(raw: Path, layout: TransientLayout, step: int) -> Iterator[tuple[int, np.ndarray]]:
-    """First row and (rows, W, T) of the uncompressed file, `step` rows at a time."""
+    """First row and (rows, W, T) values of the uncompressed file, in blocks of `step` rows."""
     with raw.open("rb") as source:
         for start in range(0, layout.height, step):
             rows = min(step, layout.height - start)
@@ -117,7 +117,7 @@ def raw_blocks(raw: Path, layout: TransientLayout, step: int) -> Iterator[tuple[
 
 
 def measure_write(name: str, raw: Path, layout: TransientLayout, file: Path) -> tuple[float, float]:
-    """Seconds, and peak MB of this process."""
+    """Seconds to write the file, and peak memory of this process in MB."""
     kind = candidates()[name]
     step = max(1, layout.rows_per_block // kind.rows_at_once) * kind.rows_at_once
     blocks = raw_blocks(raw, layout, step)
@@ -133,10 +133,15 @@ def measure_write(name: str, raw: Path, layout: TransientLayout, file: Path) -> 
 
 
 def measure_read(name: str, raw: Path, layout: TransientLayout, file: Path) -> tuple[float, float, float]:
-    """Seconds for all rows, seconds for one, and peak MB of this process; the bits must be the rendered."""
+    """Seconds to read all rows and to read one row, and peak memory of this process in MB.
+
+    Raises
+    ------
+    ValueError : the file does not have the rendered bits.
+    """
     kind = candidates()[name]
     step = max(1, layout.rows_per_block // kind.rows_at_once) * kind.rows_at_once
-    middle = layout.height // 2  # of the image, not a path length
+    middle = layout.height // 2
     started = time.perf_counter()
     kind.read(file, layout, middle, middle + 1)
     one = time.perf_counter() - started
@@ -146,24 +151,24 @@ def measure_read(name: str, raw: Path, layout: TransientLayout, file: Path) -> t
         found = np.ascontiguousarray(kind.read(file, layout, start, start + len(rows)))
         seconds += time.perf_counter() - started
         if not np.array_equal(found.view(np.uint32), rows.view(np.uint32)):
-            raise ValueError(f"{name} did not give back the bits it was given in rows from {start}")
+            raise ValueError(f"{name} changed the bits of rows from {start}")
     return seconds, one, peak_mb()
 
 
 def peak_mb() -> float:
-    """Peak resident memory of this process; getrusage would count the parent's from before the exec."""
+    """Peak resident memory of this process in MB. getrusage would include the parent before the exec."""
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) / 1e3
 
 
 def alone(function: Callable, *arguments: object) -> tuple:
-    """Call in a process of its own."""
+    """Call a function in a separate process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(function, *arguments).result()
 
 
 def unpack(transient: Path, raw: Path) -> tuple[TransientLayout, float]:
-    """Write the bare values; returns their layout and the share of bins that hold light."""
+    """Write the uncompressed values; return their layout and the share of bins with light."""
     lit = 0
     with TransientReader(transient) as reader, raw.open("wb") as out:
         for rows in reader.row_blocks():
@@ -175,7 +180,7 @@ def unpack(transient: Path, raw: Path) -> tuple[TransientLayout, float]:
 
 def render(settings: RenderSettings, raw: Path) -> tuple[TransientLayout, float]:
     """Render the first of the four scenes and unpack its transient."""
-    # Imported late: a process that has loaded bpy cannot spawn another (docs/design.md, Blender).
+    # Imported late, because a process that has loaded bpy cannot spawn another (docs/design.md, Blender).
     from four_scenes import four_scenes
 
     with four_scenes() as scenes:

@@ -1,6 +1,6 @@
 """Effect of a wrong position of the relay wall: metrics for several errors in mm.
 
-The measurement stays the same. The wall of the computed direct return is moved along its normal.
+The measurement stays the same. The wall of the computed direct return is moved along its normal. Run:
 
     .venv/bin/python benchmarks/wall_error.py myrun mydata
 """
@@ -19,7 +19,7 @@ from scenegen import open_dataset
 
 
 def main() -> None:
-    """Judge a run on the test split with one wrong wall after the other."""
+    """Evaluate a run on the test split with each error of the wall."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path)
     parser.add_argument("dataset", type=Path)
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def moved_wall(view: WallView, error_m: float) -> WallView:
-    """The view with a wall that is `error_m` too far along its normal, away from the room."""
+    """The view with the wall moved by `error_m` against its normal, away from the room."""
     point_m = np.array(view.wall_point_m) - error_m * np.array(view.wall_normal)
     return replace(view, wall_point_m=tuple(point_m.tolist()))
 

@@ -1,7 +1,8 @@
-"""What the camera would measure: transients, phasors and ground truth, rendered with Mitsuba 3.
+"""Rendering: transients, phasors and ground truth of the scenes of a dataset, with Mitsuba 3.
 
-Importing this package neither loads Mitsuba nor sets a variant. The names below are loaded when they are
-first used: `RenderSettings` does not import what renders.
+Here: settings, options of the methods, the device, and `rendering` (one scene to its files). Wings:
+`transport` (the physics), `farm` (many scenes), `products` (what is made of renders). May import `scenegen`
+and `itof`. The names below are loaded at their first use, so importing this package does not load Mitsuba.
 """
 
 import lazy_loader

@@ -1,5 +1,5 @@
 from .backend import select_variant
-from .farm.run import RunOptions, render_dataset, settings_for
+from .farm.run import RunOptions, render_dataset
 from .farm.status import read_status
 from .products.conversion import convert_to_itof, open_transient
 from .products.movie import write_movie
@@ -7,7 +7,7 @@ from .products.preview import write_preview
 from .products.tal_export import export_tal
 from .products.verification import verify
 from .rendering import Renderer
-from .settings import RenderSettings
+from .settings import RenderSettings, settings_for
 
 __all__ = [
     "RenderSettings",

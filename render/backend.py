@@ -1,4 +1,4 @@
-"""Which device renders: the Mitsuba variant, and LLVM checked before it can abort the process."""
+"""The device that renders: sets the Mitsuba variant, and checks LLVM before it can abort the process."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ log = logging.getLogger(__name__)
 
 
 class BackendError(NightError):
-    """The device that was asked for cannot render here."""
+    """The requested device cannot render on this machine."""
 
 
 def select_variant(device: Device = "auto") -> str:
     """Set the Mitsuba variant for `device` and return its name.
 
-    ``auto`` takes CUDA where there is a GPU and LLVM on the CPU otherwise. The abort of an old LLVM cannot
-    be caught, so its version is read before the first kernel is compiled.
+    ``auto`` takes CUDA if there is a GPU, and LLVM on the CPU otherwise. An old LLVM aborts the process, and
+    this abort cannot be caught, so the version is checked before the first kernel is compiled.
 
     Raises
     ------
-    BackendError : no such device here, or LLVM is missing or too old; says what to install.
+    BackendError : there is no such device, or LLVM is missing or too old; the message says what to install.
     """
-    with silenced(STDERR):  # the sentences below replace DrJit's own lines
+    with silenced(STDERR):  # DrJit prints lines here that our messages below replace
         import drjit as dr
 
         has_cuda = device != "cpu" and bool(dr.has_backend(dr.JitBackend.CUDA))
@@ -54,7 +54,7 @@ def select_variant(device: Device = "auto") -> str:
 
 
 def gpu_ids() -> list[str]:
-    """The CUDA devices that this process may use, as CUDA_VISIBLE_DEVICES names them; at least one."""
+    """Names of the CUDA devices that this process may use, as in CUDA_VISIBLE_DEVICES; at least one."""
     chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
     if chosen is not None:
         return [entry.strip() for entry in chosen.split(",") if entry.strip()] or ["0"]
@@ -67,8 +67,10 @@ def _check_llvm(version: tuple[int, ...] | None) -> None:
     where = f" at DRJIT_LIBLLVM_PATH={forced}" if forced else ""
     if version is None:
         raise BackendError(
-            f"rendering on the CPU needs the LLVM library, and there is none{where}: {INSTALL_LLVM}"
+            f"rendering on the CPU needs the LLVM library, and none was found{where}: {INSTALL_LLVM}"
         )
     if version[0] < MINIMUM_LLVM:
         found = ".".join(str(part) for part in version)
-        raise BackendError(f"LLVM {found}{where} is too old for DrJit and would abort it: {INSTALL_LLVM}")
+        raise BackendError(
+            f"LLVM {found}{where} is too old for DrJit and would abort the process: {INSTALL_LLVM}"
+        )

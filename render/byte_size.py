@@ -1,10 +1,10 @@
-"""Numbers of bytes in words."""
+"""Numbers of bytes as text."""
 
 from __future__ import annotations
 
 
 def size(count: float) -> str:
-    """Bytes as people write them, to three digits."""
+    """Bytes in a suitable unit from bytes to TB, with three digits, like ``1.23 GB``."""
     for unit in ("bytes", "kB", "MB", "GB", "TB"):
         if count < 999.5 or unit == "TB":
             break

@@ -1,9 +1,11 @@
 """The options of each rendering method, as plain data.
 
-A method owns its options, one frozen dataclass. The class attributes say what others must know of the
-method without importing it: its name as ``--method`` takes it (`method`), how many phasor images it writes of
-a scene (`phasor_parts`), and the bytes of its losslessly compressed transients by their raw bytes
-(`transient_fill`, docs/performance.md).
+Each method has one frozen dataclass. Its class attributes are what other modules must know about the method
+without importing it:
+
+- `method`: name of the method, as ``--method`` takes it,
+- `phasor_parts`: number of phasor images that it writes for a scene,
+- `transient_fill`: size of its compressed transients divided by their raw size (docs/performance.md).
 """
 
 from __future__ import annotations
@@ -13,12 +15,12 @@ from typing import Any, ClassVar, Self
 
 from scenegen import NightError
 
-# One bounce has no Monte Carlo noise but the pixel's own footprint, which 256 stratified paths integrate.
+# With one bounce, the only random error is that of the average over a pixel: 256 stratified paths suffice.
 _ONE_BOUNCE_SPP = 256
 
 
 class OptionError(NightError):
-    """An option with an impossible value, or one that the method does not have."""
+    """An option has a value that is not allowed, or the method does not have this option."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,8 @@ class ManyLightOptions:
 
     Attributes
     ----------
-    lights : points on the hidden surface; None to take as many as `error` needs.
-    error : wanted error of the hidden phasors, relative to them.
+    lights : number of points on the hidden surface; None takes as many as `error` needs.
+    error : wanted error of the hidden phasors, relative to the hidden phasors.
 
     Raises
     ------
@@ -49,7 +51,7 @@ class ManyLightOptions:
             raise OptionError(f"--lights must be at least 1, got {self.lights}")
 
     def for_one_bounce(self) -> Self:
-        """The same: one bounce needs no lights."""
+        """Options for a scene with one bounce: unchanged, because one bounce needs no lights."""
         return self
 
 
@@ -68,7 +70,7 @@ class PathOptions:
 
     method: ClassVar[str] = "path"
     phasor_parts: ClassVar[int] = 1
-    transient_fill: ClassVar[float] = 0.42  # noise is in every bin
+    transient_fill: ClassVar[float] = 0.42  # noise fills every bin
 
     spp: int = 4096
 
@@ -77,48 +79,48 @@ class PathOptions:
             raise OptionError(f"--spp must be at least 1, got {self.spp}")
 
     def for_one_bounce(self) -> Self:
-        """At most as many paths as the pixel's footprint needs."""
+        """Options for a scene with one bounce: only as many paths as the average over a pixel needs."""
         return replace(self, spp=min(self.spp, _ONE_BOUNCE_SPP))
 
 
 MethodOptions = ManyLightOptions | PathOptions
 OPTIONS: dict[str, type[MethodOptions]] = {made.method: made for made in (ManyLightOptions, PathOptions)}
 DEFAULT_METHOD = ManyLightOptions.method
-# Recipes have listed the options of these two methods, whichever rendered, from the beginning. They keep that
-# form, so that what was rendered before is not rendered again; options of another method are added to it.
+# A recipe lists the options of both methods, whichever of the two renders. This form must not change, because
+# a scene with another recipe is rendered again. Recipes of a new method list its options in addition.
 _LISTED = {**asdict(PathOptions()), **asdict(ManyLightOptions())}
 
 
 def recipe_options(options: MethodOptions) -> dict[str, Any]:
-    """Options as a recipe lists them."""
+    """Options in the form that a recipe lists."""
     return {**_LISTED, **asdict(options)}
 
 
 def options_of(method: str, given: dict[str, Any]) -> MethodOptions:
-    """Options of a method from those that are given by name.
+    """Options of a method from a dictionary.
 
     Raises
     ------
-    OptionError : no such method, an option that it does not have, or an impossible value.
+    OptionError : unknown method, an option that the method does not have, or a value that is not allowed.
     """
     own = _own_names(method)
     for name in sorted(given.keys() - own):
         owners = [other for other in OPTIONS if name in _own_names(other)]
-        whose = f"an option of method {owners[0]}" if owners else "no option of any method"
+        whose = f"an option of method {owners[0]}" if owners else "not an option of any method"
         raise OptionError(f"--{name} is {whose}, and the method is {method}: leave it out")
     return OPTIONS[method](**given)
 
 
 def recorded_options(method: str, record: dict[str, Any]) -> MethodOptions:
-    """Options of a method from a record, which may list those of other methods as well.
+    """Options of a method from a record, which may also list the options of other methods.
 
     Raises
     ------
-    OptionError : no such method, an option that no method has, or an impossible value.
+    OptionError : unknown method, an option that no method has, or a value that is not allowed.
     """
     foreign = set(record) - option_names()
     if foreign:
-        raise OptionError(f"{min(foreign)} is no option of any method")
+        raise OptionError(f"{min(foreign)} is not an option of any method")
     own = _own_names(method)
     return options_of(method, {name: value for name, value in record.items() if name in own})
 
@@ -130,5 +132,5 @@ def option_names() -> set[str]:
 
 def _own_names(method: str) -> set[str]:
     if method not in OPTIONS:
-        raise OptionError(f"no rendering method {method}: choose {' or '.join(sorted(OPTIONS))}")
+        raise OptionError(f"unknown rendering method {method}: choose {' or '.join(sorted(OPTIONS))}")
     return {field.name for field in fields(OPTIONS[method])}

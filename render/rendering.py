@@ -1,4 +1,4 @@
-"""Rendering one scene of a dataset into EXR files, with a record of what was written."""
+"""Renders one scene of a dataset into EXR files and writes a record of these files."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Renderer:
 
     Raises
     ------
-    RenderError : a resolution of another aspect ratio than the camera's.
-    BackendError : the device cannot render here.
+    RenderError : the settings do not fit the dataset (see `RenderSettings.layout`).
+    BackendError : this machine cannot render on the requested device.
     """
 
     def __init__(self, dataset: Dataset, settings: RenderSettings) -> None:
@@ -69,15 +69,15 @@ class Renderer:
         self._mirrored_method = make(settings.options.for_one_bounce(), self.variant)
 
     def render(self, scene_id: str) -> RenderRecord:
-        """Render a scene and its mirrored twin into ``renders/<id>/``; returns the record written there last.
+        """Render a scene and its mirrored scene into ``renders/<id>/``, and return the record of the files.
 
-        Each file appears whole. An earlier record or failure of the scene goes first, so no record ever
-        stands beside files that are not its own.
+        Each file is written whole or not at all. The earlier record and failure of the scene are deleted
+        first and the new record is written last, so that a record never describes other files.
 
         Raises
         ------
-        RenderError : Mitsuba cannot load the scene, the method cannot render it, or a pixel came out as NaN
-            or infinite.
+        RenderError : Mitsuba cannot load the scene, the method cannot render it, or a pixel is NaN or
+            infinite.
         """
         scene = self.dataset.scene(scene_id)
         folder = self.dataset.render_folder(scene_id)
@@ -97,7 +97,7 @@ class Renderer:
         return record
 
     def _render_measurement(self, scene: Scene, attributes: dict[str, str]) -> dict[str, str]:
-        """Write transient and phasors; returns the provenance they carry."""
+        """Write the phasors and, if wanted, the transient; return the attributes of these files."""
         folder = self.dataset.render_folder(scene.id)
         view = View(self.layout, self.frequencies_hz, self.settings.bounces(self.dataset), scene.seed)
         try:
@@ -127,7 +127,7 @@ class Renderer:
         folder = self.dataset.render_folder(scene.id)
         mirrored = self._load(scene.id, "mirrored.xml")
         if self.settings.wants_transients:
-            # Another stream than the scene's own: the two measurements must not share their noise.
+            # The two measurements of a scene need different random streams: their noise must be independent.
             seed = int(np.random.SeedSequence([scene.seed, 1]).generate_state(1)[0])
             view = View(self.layout, self.frequencies_hz, 1, seed)
             exposure = self._mirrored_method.expose(mirrored, view)
@@ -140,7 +140,7 @@ class Renderer:
     def _write_rows(
         self, exposure: Exposure, path: Path, attributes: dict[str, str]
     ) -> NDArray[np.complex128]:
-        """Render into a transient file row block by row block; returns its (H, W, F) phasors."""
+        """Render a transient file in blocks of rows; return the (H, W, F) phasors of its bins."""
         what = f"scene {attributes['scene_id']}: {path.name}"
         phasors = []
         with whole_file(path) as partial, TransientWriter(partial, self.layout, attributes) as writer:
@@ -153,7 +153,9 @@ class Renderer:
         self, path: Path, channels: dict[str, NDArray[np.float32]], attributes: dict[str, str]
     ) -> None:
         if not all(np.isfinite(values).all() for values in channels.values()):
-            raise RenderError(f"scene {attributes['scene_id']}: {path.name} came out with NaN: not written")
+            raise RenderError(
+                f"scene {attributes['scene_id']}: {path.name} has NaN or infinite pixels: it was not written"
+            )
         with whole_file(path) as partial:
             write_image(partial, channels, attributes)
 
@@ -164,7 +166,7 @@ class Renderer:
         if not file.is_file():
             raise RenderError(f"{file} is missing: run night-gen scenes again")
         try:
-            # optimize merges meshes of one material, and with them the ids that name what a ray met.
+            # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
             return mi.load_file(str(file), optimize=False)
         except RuntimeError as error:
             reason = " ".join(str(error).split())
@@ -184,7 +186,7 @@ class Renderer:
 
 
 def _forget_earlier(folder: Path, recipe: str) -> None:
-    """Remove an earlier record and failure, and transients but those recorded for `recipe` and unharmed."""
+    """Delete the earlier record and failure, and all transients except intact ones recorded for `recipe`."""
     record = read_record(folder)
     kept = record.files if record is not None and record.recipe == recipe else {}
     (folder / RECORD_FILE).unlink(missing_ok=True)
@@ -198,5 +200,5 @@ def _forget_earlier(folder: Path, recipe: str) -> None:
 def _finite(blocks: Iterator[NDArray[np.float32]], what: str) -> Iterator[NDArray[np.float32]]:
     for block in blocks:
         if not np.isfinite(block).all():
-            raise RenderError(f"{what} came out with NaN or infinite pixels: this file was not written")
+            raise RenderError(f"{what} has NaN or infinite pixels: this file was not written")
         yield block

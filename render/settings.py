@@ -1,39 +1,51 @@
-"""How a dataset is to be rendered, and what follows from that for each scene; no Mitsuba in it."""
+"""How a dataset is rendered, and what follows from that for each scene. Does not import Mitsuba."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from itof import TransientLayout
 from render.backend import Device
-from render.options import ManyLightOptions, MethodOptions, recipe_options, recorded_options
+from render.options import (
+    ManyLightOptions,
+    MethodOptions,
+    option_names,
+    options_of,
+    recipe_options,
+    recorded_options,
+)
 from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, NightError, RenderingRecord
 
 Product = Literal["transient", "itof", "both"]
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
-_MOST_PIXELS = 2**26  # all of an image's rays are in flight at once for the ground truth
-_WORKING_COPIES = 4  # of a block of rows: bins, numpy's copy, a sum in double precision
+_MOST_PIXELS = 2**26  # the ground truth traces the rays of all pixels at once
+# Copies of a row block in memory, as float32: the bins, numpy's copy, and a float64 sum, which counts twice.
+_WORKING_COPIES = 4
 
 
 class RenderError(NightError):
-    """A scene that cannot be rendered as asked."""
+    """A scene cannot be rendered with the requested settings, or a render cannot be used."""
 
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """How to render.
+    """How to render the scenes of a dataset.
 
     Attributes
     ----------
-    product : ``itof``: phasors and ground truth; ``transient`` or ``both``: transients as well.
-    options : of the rendering method, which they name.
-    max_bounces : surfaces that light may meet, instead of the preset's.
-    device : auto, cpu or cuda.
-    resolution : (width, height) instead of the preset's, with the same aspect ratio.
+    product : ``itof`` is phasors and ground truth; ``transient`` and ``both`` are transients as well.
+    options : options of the rendering method; their class selects the method.
+    max_bounces : most surfaces that light may meet; None takes the preset's number.
+    device : ``auto``, ``cpu`` or ``cuda``.
+    resolution : (width, height) in pixels, with the camera's aspect ratio; None takes the preset's size.
+
+    Raises
+    ------
+    RenderError : an unknown product.
     """
 
     product: Product = "itof"
@@ -44,7 +56,7 @@ class RenderSettings:
 
     def __post_init__(self) -> None:
         if self.product not in PRODUCTS:
-            raise RenderError(f"no product {self.product}: choose one of {', '.join(PRODUCTS)}")
+            raise RenderError(f"unknown product {self.product}: choose one of {', '.join(PRODUCTS)}")
 
     @property
     def method(self) -> str:
@@ -53,28 +65,28 @@ class RenderSettings:
 
     @property
     def wants_transients(self) -> bool:
-        """Whether time-resolved files are written."""
+        """Whether transients are written."""
         return self.product != "itof"
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the files that a scene's render folder must hold."""
+        """Names of the files that the render folder of a scene must hold."""
         return (*TRANSIENT_FILES, *IMAGE_FILES) if self.wants_transients else IMAGE_FILES
 
     def layout(self, dataset: Dataset) -> TransientLayout:
-        """Image size and time axis of a dataset rendered so.
+        """Image size and time axis of a dataset that is rendered with these settings.
 
         Raises
         ------
-        RenderError : a resolution of another aspect ratio than the camera's, an image that is too large, or
-            a time axis of which not one image row fits into memory.
+        RenderError : the resolution does not have the camera's aspect ratio, the image has too many pixels,
+            or the time axis is so long that one image row does not fit into memory.
         """
         camera, axis = dataset.preset.camera, dataset.preset.transient
         width, height = self.resolution or (camera.width, camera.height)
         if width < 1 or height < 1 or width * camera.height != height * camera.width:
             raise RenderError(
-                f"a resolution of {width}x{height} has not the aspect ratio of the camera and its projector "
-                f"({camera.width}x{camera.height}): choose a multiple or a fraction of that"
+                f"the resolution {width}x{height} does not have the aspect ratio of the camera and its "
+                f"projector ({camera.width}x{camera.height}): choose a multiple or a fraction of that size"
             )
         if width * height > _MOST_PIXELS:
             raise RenderError(
@@ -86,22 +98,22 @@ class RenderSettings:
         return layout
 
     def bounces(self, dataset: Dataset) -> int:
-        """Surfaces that light may meet."""
+        """Most surfaces that light may meet."""
         return self.max_bounces or dataset.preset.transient.max_bounces
 
     def recipe(self, dataset: Dataset, scene_id: str) -> str:
-        """All that a scene's pixels depend on, as JSON; a render of the same recipe need not be made again.
+        """Everything that determines the pixels of a scene, as JSON. Equal recipes give equal renders.
 
-        But for rounding: device and program versions are provenance, not recipe.
+        Device and program versions are not part of it, because they change pixels by rounding only.
 
         Raises
         ------
-        RenderError : there is no such scene folder.
+        RenderError : the scene folder is missing or empty.
         """
         return json.dumps({**self.common_recipe(dataset), "scene_sha256": scene_sha256(dataset, scene_id)})
 
     def common_recipe(self, dataset: Dataset) -> dict[str, Any]:
-        """The part of a recipe that all scenes of a dataset share."""
+        """The part of a recipe that is the same for all scenes of a dataset."""
         layout = self.layout(dataset)
         return {
             "method": self.method,
@@ -114,7 +126,12 @@ class RenderSettings:
 
 
 def scene_sha256(dataset: Dataset, scene_id: str) -> str:
-    """SHA-256 of all files that describe a scene; `RenderError` when there are none."""
+    """SHA-256 of the names and contents of all files in a scene folder.
+
+    Raises
+    ------
+    RenderError : the folder is missing or empty.
+    """
     digest = hashlib.sha256()
     files = sorted(dataset.scene_folder(scene_id).glob("*"))
     if not files:
@@ -125,7 +142,7 @@ def scene_sha256(dataset: Dataset, scene_id: str) -> str:
 
 
 def read_recipe(recipe: str) -> dict[str, Any]:
-    """Contents of a recipe; empty when it is none."""
+    """Contents of a recipe; an empty dictionary if the text is not a recipe."""
     try:
         content = json.loads(recipe)
     except ValueError:
@@ -134,7 +151,7 @@ def read_recipe(recipe: str) -> dict[str, Any]:
 
 
 def settings_of(rendering: RenderingRecord, dataset: Dataset) -> RenderSettings:
-    """The settings that a dataset was rendered with, from its record.
+    """The settings that a dataset was rendered with, from its record in ``renders/rendering.json``.
 
     Raises
     ------
@@ -153,12 +170,35 @@ def settings_of(rendering: RenderingRecord, dataset: Dataset) -> RenderSettings:
     except (TypeError, ValueError) as error:
         raise RenderError(
             f"{dataset.renders / RENDERING_FILE} cannot be used ({error}): delete it and give the settings "
-            "anew"
+            "again"
         ) from None
 
 
+def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:
+    """Settings of a run: those in ``renders/rendering.json``, if it exists, with the given changes.
+
+    Parameters
+    ----------
+    given : fields of `RenderSettings`, ``method``, and options of the method (`render.options`), by name.
+        With another method, or with any option of the method, its other options get their default values.
+
+    Raises
+    ------
+    OptionError, RenderError : an unknown method or option, or a value that is not allowed.
+    """
+    before = dataset.rendering
+    settings = settings_of(before, dataset) if before else RenderSettings(product="both")
+    known = option_names()
+    options = {name: value for name, value in given.items() if name in known}
+    others = {name: value for name, value in given.items() if name not in known}
+    method = others.pop("method", settings.method)
+    if options or method != settings.method:
+        others["options"] = options_of(method, options)
+    return replace(settings, **others)
+
+
 def _check_memory(layout: TransientLayout) -> None:
-    """Refuse a time axis of which not even one image row fits, before rendering starts."""
+    """Refuse, before rendering starts, a time axis so long that one image row does not fit into memory."""
     needed = _WORKING_COPIES * 4 * layout.width * layout.bin_count
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > memory or layout.width * layout.bin_count >= 2**31:

@@ -1,5 +1,5 @@
 """Many scenes on many workers: what `night-render DATASET` does.
 
-Here: plan, inventory, claims, queue, jobs and Dask clusters, and the status read from the files. A scene that
-fails is tried again in `queue`. May import `render.rendering` and the settings; not `render.products`.
+Here: the plan, the inventory, claims, the queue, jobs, Dask clusters, and the status. The queue (`queue`)
+tries a scene again that failed. May import `render.rendering` and the settings; not `render.products`.
 """

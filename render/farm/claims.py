@@ -1,9 +1,12 @@
-"""Who renders what: locks that vanish with the process that holds them, however it dies.
+"""Locks between processes that render one dataset. The system releases a lock when its process ends.
 
-A claim is a `flock` on ``renders/.claims/<id>``, which also counts how often one run has begun the scene;
-the run lock is one on ``renders/.run``, shared by commands that render with the same settings;
-``renders/.note`` is held while ``rendering.json`` is read and written. Renders are written whole, and the
-same on any machine of one kind, so a file system without locks costs work done twice, no more.
+- ``renders/.claims/<id>`` is locked by the process that renders the scene. The file counts how often each run
+  has begun the scene.
+- ``renders/.run`` is locked during a run, shared by commands that render with the same settings.
+- ``renders/.note`` is locked while ``rendering.json`` is read and written.
+
+On a file system without locks, two processes may render the same scene. This only wastes time: files are
+written whole, and every machine of one kind renders the same pixels.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from scenegen import NightError
 
 _CLAIMS, _RUN, _NOTE = ".claims", ".run", ".note"
 _NO_LOCKS = (ENOLCK, ENOTSUP)
-_MOST_RUNS, _MOST_BYTES = 16, 4096  # that a claim file remembers attempts of
+_MOST_RUNS, _MOST_BYTES = 16, 4096  # of a claim file: runs whose attempts it counts, and its size
 
 
 class OtherRunError(NightError):
@@ -30,13 +33,13 @@ class OtherRunError(NightError):
 
 @dataclass
 class Claim:
-    """A scene that this process alone works on."""
+    """The lock on a scene that this process works on."""
 
     descriptor: int
     path: Path
 
     def begin(self, run_id: str) -> int:
-        """Count an attempt of this run at the scene; how many there are now."""
+        """Add one to the attempts of this run at the scene, and return their number."""
         counts = _counts(os.pread(self.descriptor, _MOST_BYTES, 0))
         counts[run_id] = counts.get(run_id, 0) + 1
         latest = dict(list(counts.items())[-_MOST_RUNS:])
@@ -45,15 +48,15 @@ class Claim:
         return counts[run_id]
 
     def forget(self) -> None:
-        """The scene is done: nothing needs to be counted any more."""
+        """Delete the counts, because the scene is done."""
         self.path.unlink(missing_ok=True)
 
 
 @contextmanager
 def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
-    """Claim a scene while the block runs; None when another process has it."""
+    """Claim a scene while the block runs; yields None if another process has claimed it."""
     path = renders / _CLAIMS / scene_id
-    path.parent.mkdir(exist_ok=True)  # not its parents: a dataset that was deleted stays so
+    path.parent.mkdir(exist_ok=True)  # no parents: a deleted dataset must not come back
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -61,7 +64,7 @@ def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
                 yield None
                 return
             if not _is_same_file(descriptor, path):
-                continue  # its last owner removed it between our open and our lock
+                continue  # its last owner deleted it after we opened it and before we locked it
             yield Claim(descriptor, path)
             return
         finally:
@@ -69,7 +72,7 @@ def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
 
 
 def attempts_of(renders: Path, scene_id: str, run_id: str) -> int:
-    """How often a run has begun a scene without ending it well."""
+    """How often a run has begun a scene that is not done yet."""
     try:
         return _counts((renders / _CLAIMS / scene_id).read_bytes()).get(run_id, 0)
     except OSError:
@@ -77,7 +80,7 @@ def attempts_of(renders: Path, scene_id: str, run_id: str) -> int:
 
 
 def running(renders: Path) -> list[str]:
-    """Scenes that some process works on now."""
+    """Ids of the scenes that are being rendered now, by any process."""
     found = []
     for path in sorted((renders / _CLAIMS).glob("*")):
         try:
@@ -94,16 +97,16 @@ def running(renders: Path) -> list[str]:
 
 @contextmanager
 def joined_run(renders: Path, settings: str) -> Iterator[None]:
-    """Render this dataset with `settings`, alone or beside commands with the same ones.
+    """Hold the run lock of a dataset; commands with the same `settings` may hold it together.
 
     Raises
     ------
-    OtherRunError : a living command renders it with others.
+    OtherRunError : a running command renders the dataset with other settings.
     """
     renders.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(renders / _RUN, os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        if _lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):  # nobody else: our settings hold
+        if _lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):  # we are the only run: record our settings
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, settings.encode(), 0)
         _lock(descriptor, fcntl.LOCK_SH)
@@ -111,7 +114,7 @@ def joined_run(renders: Path, settings: str) -> Iterator[None]:
         if others != settings:
             raise OtherRunError(
                 f"another night-render is rendering {renders.parent} with other settings ({others}): wait "
-                "for it to end, or help it with the same ones"
+                "until it ends, or start this command with the same settings"
             )
         yield
     finally:
@@ -120,8 +123,8 @@ def joined_run(renders: Path, settings: str) -> Iterator[None]:
 
 @contextmanager
 def noting(renders: Path) -> Iterator[None]:
-    """Read and write ``rendering.json`` while no other command does; waits for its turn."""
-    renders.mkdir(parents=True, exist_ok=True)
+    """Wait for the lock on ``rendering.json`` and hold it while the block runs."""
+    renders.mkdir(exist_ok=True)  # no parents: a deleted dataset must not come back
     descriptor = os.open(renders / _NOTE, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         _lock(descriptor, fcntl.LOCK_EX)
@@ -149,7 +152,7 @@ def _is_same_file(descriptor: int, path: Path) -> bool:
 
 
 def _counts(text: bytes) -> dict[str, int]:
-    """Attempts by run."""
+    """Attempts by run; empty if the text is damaged."""
     try:
         content = json.loads(text)
         return {str(run): int(count) for run, count in content.items()}

@@ -1,4 +1,4 @@
-"""Where jobs run: worker processes of this machine, an existing Dask scheduler, or jobs of a batch system."""
+"""The workers of a run: processes of this machine, a running Dask cluster, or jobs of a batch system."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dask_jobqueue.core import JobQueueCluster
     from distributed import Client
 
-# Batch systems of dask-jobqueue, by the name their section has in its configuration file.
+# Classes of dask-jobqueue by the name of the section in its configuration file.
 _SYSTEMS = {
     "slurm": "SLURMCluster",
     "pbs": "PBSCluster",
@@ -31,41 +31,42 @@ _SYSTEMS = {
     "htcondor": "HTCondorCluster",
 }
 _CONFIG = {
-    # A worker's death is told to us at once: we count attempts at a scene ourselves (render.farm.claims).
+    # Dask must report the death of a worker at once: we count the attempts at a scene (render.farm.claims).
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-saturation": 1.0,
-    # Our jobs hold pixels, not Dask's data: nothing to spill, and pausing would only stall the queue.
+    # Dask cannot spill the memory of our jobs, and a paused worker would stop the queue.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.profile.enabled": False,
 }
-# A local worker that is gone is started again by its nanny. Dask would close the nanny when that takes longer
-# than 15 s, as on a busy machine, and then nobody starts it any more.
+# The nanny of a local worker starts it again when it dies. By default, Dask closes the nanny when this takes
+# longer than 15 s, as it can on a busy machine, and the worker would be lost.
 _LOCAL_CONFIG = {"distributed.deploy.lost-worker-timeout": "1 day"}
 _CONNECT_S = 10
-_ANY_LOCAL_PORT = "127.0.0.1:0"  # for the diagnostics page, whose usual port may be taken
+_ANY_LOCAL_PORT = "127.0.0.1:0"  # of the diagnostics page: its default port may be in use
 
 
 class ClusterError(NightError):
-    """No workers to render with: a scheduler out of reach, or a cluster file that is not understood."""
+    """There are no workers: the scheduler does not answer, or the cluster file cannot be used."""
 
 
 @contextmanager
 def connected(
     *, workers: int | None, scheduler: str | None, cluster_file: Path | None, device: Device
 ) -> Iterator[Client]:
-    """A Dask client with workers; what was started for it ends with the block.
+    """A Dask client with workers. Everything that was started for it ends with the block.
 
     Parameters
     ----------
-    workers : worker processes of this machine, or jobs of the batch system; None for one a device or one job.
+    workers : processes of this machine, or jobs of the batch system; None means one per device, or one job.
     scheduler : address of a running scheduler, like ``tcp://host:8786``.
     cluster_file : configuration of dask-jobqueue (YAML with ``jobqueue: slurm: ...``).
 
     Raises
     ------
-    ClusterError : both a scheduler and a file, an unreachable scheduler, a file that cannot be used.
+    ClusterError : a scheduler and a file are both given, the scheduler does not answer, or the file cannot be
+        used.
     BackendError : this machine cannot render on `device` (local workers only).
     """
     check_cluster(scheduler, cluster_file)
@@ -87,7 +88,7 @@ def connected(
         else:
             if cluster_file:
                 cluster = stack.enter_context(batch_cluster(cluster_file))
-                # adapt rather than scale: jobs whose time is up are submitted again
+                # adapt, unlike scale, submits a new job when the time of a job is up
                 cluster.adapt(minimum_jobs=workers or 1, maximum_jobs=workers or 1)
             else:
                 cluster = stack.enter_context(_local_cluster(workers, device))
@@ -102,7 +103,7 @@ def batch_cluster(file: Path) -> JobQueueCluster:
 
     Raises
     ------
-    ClusterError : no such file, not YAML, another number of systems than one, unknown keys.
+    ClusterError : the file is missing or not YAML, does not have exactly one system, or has unknown keys.
     """
     cls, options = _checked_cluster_file(file)
     try:
@@ -113,22 +114,30 @@ def batch_cluster(file: Path) -> JobQueueCluster:
 
 
 def check_cluster(scheduler: str | None, cluster_file: Path | None) -> None:
-    """`ClusterError` where both are given, or a file that cannot be used; nothing is connected or started."""
+    """Check the choice of workers; connects to nothing and starts nothing.
+
+    Raises
+    ------
+    ClusterError : both are given, or the file cannot be used.
+    """
     if scheduler and cluster_file:
-        raise ClusterError("give either --scheduler or --cluster: one joins a cluster, the other starts one")
+        raise ClusterError(
+            "give either --scheduler or --cluster: the first joins a running cluster, the second starts one"
+        )
     if cluster_file:
         _checked_cluster_file(cluster_file)
 
 
 def _checked_cluster_file(file: Path) -> tuple[type, dict[str, Any]]:
-    """Cluster class and options that a configuration file of dask-jobqueue names."""
+    """Cluster class and options from a configuration file of dask-jobqueue."""
     system, options = _read_cluster_file(file)
     cls: type = getattr(import_module("dask_jobqueue"), _SYSTEMS[system])
     known = _known_options(cls)
     unknown = sorted(set(options) - known)
     if unknown:
         raise ClusterError(
-            f"{file}: unknown key {unknown[0]} of jobqueue.{system}; known are {', '.join(sorted(known))}"
+            f"{file}: unknown key {unknown[0]} of jobqueue.{system}; known keys are "
+            + ", ".join(sorted(known))
         )
     return cls, options
 
@@ -141,7 +150,7 @@ def _read_cluster_file(file: Path) -> tuple[str, dict[str, Any]]:
     except OSError as error:
         raise ClusterError(f"{file} cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ClusterError(f"{file} is no YAML: {' '.join(str(error).split())}") from None
+        raise ClusterError(f"{file} is not YAML: {' '.join(str(error).split())}") from None
     sections = content.get("jobqueue") if isinstance(content, dict) else None
     if not isinstance(sections, dict) or len(sections) != 1 or not set(sections) <= set(_SYSTEMS):
         raise ClusterError(
@@ -152,15 +161,15 @@ def _read_cluster_file(file: Path) -> tuple[str, dict[str, Any]]:
         raise ClusterError(f"{file}: jobqueue.{system} must hold keys like cores, memory and walltime")
     missing = [key for key in ("cores", "memory") if options.get(key) is None]
     if missing:
-        raise ClusterError(f"{file}: jobqueue.{system} needs {' and '.join(missing)} of a job")
+        raise ClusterError(f"{file}: jobqueue.{system} needs {' and '.join(missing)} (of one job)")
     named = {str(key).replace("-", "_"): value for key, value in options.items()}
-    if "name" in named:  # what dask-jobqueue's file calls name, its classes call job_name
+    if "name" in named:  # the classes of dask-jobqueue call this key job_name
         named["job_name"] = named.pop("name")
     return system, named
 
 
 def _known_options(cls: type) -> set[str]:
-    """Parameters of a cluster class, of its jobs, and of the base classes of both."""
+    """Names of the parameters of a cluster class, of its job class, and of the base classes of both."""
     classes = [*cls.__mro__, *cls.job_cls.__mro__]  # type: ignore[attr-defined]
     return {
         name
@@ -172,7 +181,7 @@ def _known_options(cls: type) -> set[str]:
 
 
 def _local_cluster(workers: int | None, device: Device) -> Any:
-    """Worker processes of this machine: one a GPU, each with its own, or sharing the CPU's threads."""
+    """Worker processes of this machine: one for each GPU, or several that share the threads of the CPU."""
     from distributed import LocalCluster, Nanny
     from distributed.deploy.spec import SpecCluster
     from distributed.scheduler import Scheduler
@@ -205,14 +214,14 @@ def _local_cluster(workers: int | None, device: Device) -> Any:
 
 
 def _leave_ctrl_c_to_us(stack: ExitStack) -> None:
-    """Start threads and processes with SIGINT blocked, as they inherit it: Ctrl-C is for this thread."""
-    resource_tracker.ensure_running()  # it would unblock SIGINT in the thread that starts it
+    """Block SIGINT until the workers are started. They inherit this, so Ctrl-C reaches only this thread."""
+    resource_tracker.ensure_running()  # started later, it would unblock SIGINT in this thread
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
 
 
 def _quieten() -> None:
-    """Dask's log lines are about its processes; ours say what that means for the scenes."""
+    """Silence Dask's log lines about its processes. Our lines say what happened to the scenes."""
     import distributed
 
     named = [name for name in logging.root.manager.loggerDict if name.startswith(f"{distributed.__name__}.")]

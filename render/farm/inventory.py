@@ -1,4 +1,4 @@
-"""What of a dataset is rendered: read from the files alone, never from a scheduler's memory."""
+"""Which scenes of a dataset are rendered. The files decide, not the memory of a scheduler."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Literal
 from render.settings import RenderError, RenderSettings
 from scenegen import Dataset, FileHashes, RenderRecord, read_failure, read_record
 
-# done: all files whole, of this recipe. failed: tried with this recipe in vain. other: rendered with other
-# settings. damaged: recorded, but files are gone or not what was recorded. missing: none of these.
+# done: all files are there, intact, and have this recipe. failed: rendering with this recipe failed. other:
+# rendered with another recipe. damaged: files are gone or differ from the record. missing: everything else.
 State = Literal["done", "failed", "other", "damaged", "missing"]
-_READERS = 8  # threads that read files at once, for disks across a network
+_READERS = 8  # threads that read files at the same time; network disks answer slowly
 
 
 def known_recipe(dataset: Dataset, settings: RenderSettings, scene_id: str) -> str:
-    """Recipe of a scene; empty when its description is gone, of which rendering it will tell."""
+    """Recipe of a scene; empty if its folder is missing or unreadable, which rendering then reports."""
     try:
         return settings.recipe(dataset, scene_id)
     except (OSError, RenderError):
@@ -24,9 +24,9 @@ def known_recipe(dataset: Dataset, settings: RenderSettings, scene_id: str) -> s
 
 
 class Inventory:
-    """States of scenes under some settings.
+    """States of the scenes of a dataset for some settings.
 
-    Hashes are remembered in ``renders/.hashes.json`` by size and time of change; `save` keeps them.
+    Hashes of files are cached in ``renders/.hashes.json``, with size and time of change; `save` writes them.
     """
 
     def __init__(self, dataset: Dataset, settings: RenderSettings) -> None:
@@ -45,13 +45,13 @@ class Inventory:
         return state
 
     def remember(self, scene_id: str, record: RenderRecord) -> None:
-        """Take the hashes of a scene's files from its record, which was written just now."""
+        """Add the hashes of a scene's files to the cache, from a record that has just been written."""
         folder = self.dataset.render_folder(scene_id)
         for name, file in record.files.items():
             self._hashes.learn(folder / name, file.sha256)
 
     def save(self) -> None:
-        """Keep the hashes on disk."""
+        """Write the cached hashes to disk."""
         self._hashes.save()
 
     def _recorded_state(self, scene_id: str, recipe: str) -> State:
@@ -76,7 +76,7 @@ class Inventory:
     def states(
         self, scenes: Iterable[str], on_scene: Callable[[], object] = lambda: None
     ) -> dict[str, State]:
-        """States of many scenes, in their order."""
+        """States of many scenes, in their order; calls `on_scene` after each."""
         found: dict[str, State] = {}
         wanted = list(scenes)
         try:

@@ -1,8 +1,7 @@
 """One scene as a job: what a worker process does, and what it answers.
 
-Whatever goes wrong with a scene is an answer, not an exception, so that only the death of the worker itself
-reaches the scheduler. What is wrong with the machine rather than with the scene (a full disk, no device)
-stops the whole run.
+An error in a scene is returned as an answer and not raised, so an exception from Dask always means that the
+worker died or cannot take jobs. An error of the machine (a full disk, no device) stops the whole run.
 """
 
 from __future__ import annotations
@@ -31,41 +30,52 @@ from scenegen import DatasetError, open_dataset, read_failure
 MAX_ATTEMPTS = 2
 Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]
 _HOPELESS = (ENOSPC, EDQUOT, EROFS)
-_LEAST_FREE_BYTES = 2**20  # below this, whatever went wrong while writing was the disk
-GROWTH_BYTES = 2**30  # a worker that has grown by this much since its first scene renews itself
+_LEAST_FREE_BYTES = 2**20  # with less free space, any error while writing means a full disk
+GROWTH_BYTES = 2**30  # a worker whose memory has grown by this much since its first scene is replaced
 
-_one_at_a_time = threading.Lock()  # Mitsuba uses all threads of the process for one scene
+_one_at_a_time = threading.Lock()  # one scene already uses all threads of the process
 _state: dict[str, Any] = {}  # of this worker process: its renderer, and its memory after the first scene
 
 
 @dataclass(frozen=True)
 class Job:
-    """A scene to render: in which dataset, how, for which run, and how much workers may grow by."""
+    """A scene to render.
+
+    Attributes
+    ----------
+    root : folder of the dataset.
+    settings : how to render.
+    scene_id : which scene.
+    run_id : which run the job belongs to.
+    given_up_counts : whether a failure that another command has recorded is the answer to this job.
+    growth_bytes : memory that the worker may grow by before it is replaced.
+    night_version : version of the command; a worker must have the same.
+    """
 
     root: str
     settings: RenderSettings
     scene_id: str
     run_id: str
-    given_up_counts: bool = False  # a failure that another command has recorded meanwhile is an answer
+    given_up_counts: bool = False
     growth_bytes: int = GROWTH_BYTES
     night_version: str = field(default_factory=lambda: version("night-nlos"))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job.
+    """The answer to a job.
 
     Attributes
     ----------
-    kind : ``rendered``; ``present``: it was already; ``elsewhere``: another process is at it; ``failed``:
-        this attempt failed; ``stop``: nothing can be rendered here.
-    reason : one sentence, of a failure or a stop.
+    kind : ``rendered``; ``present``: it was rendered before; ``elsewhere``: another process is rendering it;
+        ``failed``: this attempt failed; ``stop``: no scene can be rendered, so the run ends.
+    reason : one sentence about a failure or a stop.
     log : traceback and warnings.
     seconds : rendering time.
-    attributes : provenance of what was rendered.
+    attributes : provenance of the rendered files.
     worker : host and process.
-    final : another command has recorded this failure: nothing is to be tried again.
-    grown : Dask address of a worker that has grown too large, to be replaced by a fresh one; else empty.
+    final : whether another command has recorded this failure, so that the scene is not tried again.
+    grown : Dask address of this worker if it has grown too large and must be replaced, else empty.
     """
 
     scene_id: str
@@ -80,13 +90,13 @@ class Outcome:
 
 
 def render_scene(job: Job) -> Outcome:
-    """Render the scene of a job unless it is done or somebody else is at it."""
+    """Render the scene of a job, unless it is rendered or another process is rendering it."""
     if job.night_version != version("night-nlos"):
         return Outcome(
             job.scene_id,
             "stop",
-            f"a worker has NIGHT {version('night-nlos')} and the command {job.night_version}: "
-            "install the same version on both",
+            f"a worker has NIGHT {version('night-nlos')} and this command has {job.night_version}: "
+            "install the same version on both machines",
         )
     with _one_at_a_time:
         try:
@@ -99,9 +109,9 @@ def render_scene(job: Job) -> Outcome:
             hopeless = error.errno in _HOPELESS or _free_bytes(Path(job.root)) < _LEAST_FREE_BYTES
             reason = f"{error.filename or job.root}: {error.strerror or error}"
             if hopeless:
-                reason = f"no space left for scene {job.scene_id} ({reason}): free some and start again"
+                reason = f"no space left for scene {job.scene_id} ({reason}): free some space and start again"
             return Outcome(job.scene_id, "stop" if hopeless else "failed", reason, traceback.format_exc())
-        except Exception as error:  # of any kind: one bad scene must not end the batch
+        except Exception as error:  # of any kind: one bad scene must not end the run
             reason = " ".join(str(error).split()).removeprefix(f"scene {job.scene_id}: ")
             reason = reason or type(error).__name__
             return Outcome(job.scene_id, "failed", reason, traceback.format_exc())
@@ -119,8 +129,10 @@ def _render(job: Job, renderer: Renderer, inventory: Inventory) -> Outcome:
         failure = read_failure(renderer.dataset.render_folder(job.scene_id))
         if job.given_up_counts and state == "failed" and failure is not None:
             return Outcome(job.scene_id, "failed", failure.reason, final=True)
-        if claim.begin(job.run_id) > MAX_ATTEMPTS:  # a scheduler has sent it again after its worker died
-            return Outcome(job.scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times rendering it")
+        if claim.begin(job.run_id) > MAX_ATTEMPTS:  # the scheduler sent it again after its worker died
+            return Outcome(
+                job.scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times while it rendered this scene"
+            )
         started = time.perf_counter()
         with _collected_warnings() as warnings:
             record = renderer.render(job.scene_id)
@@ -132,10 +144,12 @@ def _render(job: Job, renderer: Renderer, inventory: Inventory) -> Outcome:
 
 
 def _workshop(job: Job) -> tuple[Renderer, Inventory]:
-    """Renderer of this worker process, made once: the kernels it compiles serve all scenes."""
+    """Renderer and inventory of this worker process, made once: its compiled kernels serve all scenes."""
     key = (job.root, job.settings, job.run_id)
     if not (Path(job.root) / "dataset.json").is_file():
-        raise DatasetError(f"{job.root} is no dataset that this worker sees: all need the same file system")
+        raise DatasetError(
+            f"{job.root} is no dataset that this worker sees: workers need the same file system"
+        )
     if _state.get("key") != key:
         _use_threads()
         dataset = open_dataset(Path(job.root))
@@ -145,7 +159,7 @@ def _workshop(job: Job) -> tuple[Renderer, Inventory]:
 
 
 def _use_threads() -> None:
-    """Give DrJit as many threads as the scheduler counts for this worker."""
+    """Give DrJit as many threads as this worker has in Dask."""
     worker = _dask_worker()
     if worker is not None:
         import drjit as dr
@@ -154,7 +168,7 @@ def _use_threads() -> None:
 
 
 def _grown(growth_bytes: int) -> str:
-    """Address of this worker when a fresh process should take its place, else nothing."""
+    """Address of this worker if it has grown too large and must be replaced, else an empty string."""
     worker = _dask_worker()
     if worker is None or worker.nanny is None:
         return ""
@@ -166,7 +180,7 @@ def _grown(growth_bytes: int) -> str:
 
 
 def _dask_worker() -> Any:
-    """The Dask worker that runs this job; None outside of one."""
+    """The Dask worker that runs this job; None if there is none."""
     from distributed import get_worker
 
     try:
@@ -177,7 +191,7 @@ def _dask_worker() -> Any:
 
 @contextmanager
 def _collected_warnings() -> Iterator[list[str]]:
-    """What the renderer warns of, for the command's log instead of the worker's terminal."""
+    """Collect the renderer's warnings for the log of the command; a worker's terminal is not seen."""
     found: list[str] = []
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: found.append(record.getMessage())  # type: ignore[method-assign]

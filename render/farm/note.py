@@ -1,4 +1,4 @@
-"""Keeping ``renders/rendering.json``: how a dataset is rendered, and how well."""
+"""Writes ``renders/rendering.json``: how a dataset is rendered, and the error of the hidden signal."""
 
 from __future__ import annotations
 
@@ -14,10 +14,15 @@ _PACKAGES = ("night-nlos", "mitsuba", "drjit", "mitransient", "numpy", "OpenEXR"
 
 
 def note_rendering(dataset: Dataset, settings: RenderSettings, whole: bool, *, finished: bool) -> None:
-    """Keep in ``rendering.json`` how the dataset is rendered, and at the end of a run how well.
+    """Write ``rendering.json`` at the start and at the end of a run.
 
-    Settings of before stay as long as any scene is rendered with them, and the product of before after a run
-    that was not of the whole dataset: a few scenes rendered otherwise do not speak for the others.
+    The recorded settings do not change as long as any scene is rendered with them. The recorded product does
+    not change after a run of some scenes only, because most scenes may have the earlier product.
+
+    Parameters
+    ----------
+    whole : whether the run covers all scenes of the dataset.
+    finished : whether the run has ended; then the errors of the renders are recorded as well.
     """
     with noting(dataset.renders):
         _note(dataset, settings, whole, finished)
@@ -31,7 +36,7 @@ def _note(dataset: Dataset, settings: RenderSettings, whole: bool, finished: boo
         if not finished or (not same and _rendered_errors(dataset, earlier)):
             return
         if same and (earlier.wants_transients or not whole):
-            settings = replace(settings, product=earlier.product)  # that of all scenes, not of a few
+            settings = replace(settings, product=earlier.product)
     errors = _rendered_errors(dataset, settings) if finished else []
     known = [error for error in errors if error is not None]
     layout = settings.layout(dataset)
@@ -52,7 +57,7 @@ def _note(dataset: Dataset, settings: RenderSettings, whole: bool, finished: boo
 
 
 def _rendered_errors(dataset: Dataset, settings: RenderSettings) -> list[float | None]:
-    """Estimated hidden-signal error of every scene rendered with `settings`; None where there is none."""
+    """Estimated hidden-signal error of each scene rendered with `settings`; None if there is no estimate."""
     common = settings.common_recipe(dataset)
     errors = []
     for scene_id in dataset.ids():

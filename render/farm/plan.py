@@ -1,4 +1,4 @@
-"""What a run will take: disk space by product, measured where scenes are there and estimated where not."""
+"""Disk space that a run needs: measured on rendered scenes if there are any, else estimated."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record
 _TRUTH_CHANNELS = 4  # of the ground truth: depth, mask, Re, Im
 _COMPONENTS = 2  # Re and Im
 _FLOAT_BYTES = 4
-_MEASURED_SCENES = 20  # are enough to know the size of the others
+_MEASURED_SCENES = 20  # give the mean size well enough
 _MARGIN = 1.05
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Disk space that rendering some scenes needs and has.
+    """Disk space that some scenes need, and that is free.
 
     Attributes
     ----------
-    scenes : how many are to be rendered.
-    image_bytes, transient_bytes : of one scene.
-    free_bytes : on the dataset's disk.
+    scenes : number of scenes to render.
+    image_bytes, transient_bytes : size of one scene.
+    free_bytes : free space on the disk of the dataset.
     """
 
     dataset: Dataset
@@ -38,16 +38,16 @@ class Plan:
 
     @property
     def scene_bytes(self) -> int:
-        """Bytes of one scene with the product that is asked for."""
+        """Bytes of one scene with the requested product."""
         return self.image_bytes + (self.transient_bytes if self.settings.wants_transients else 0)
 
     @property
     def needed_bytes(self) -> int:
-        """Bytes of all scenes to be rendered, with a little more than the estimate."""
+        """Bytes of all scenes to be rendered, 5 % more than the estimate."""
         return int(_MARGIN * self.scenes * self.scene_bytes)
 
     def sentences(self) -> list[str]:
-        """The plan for people to read."""
+        """The plan as lines of text."""
         layout = self.settings.layout(self.dataset)
         images, transients = (size(self.scenes * each) for each in (self.image_bytes, self.transient_bytes))
         space = f"phasors and ground truth {images}, transients {transients}"
@@ -60,7 +60,7 @@ class Plan:
         ]
 
     def refusal(self) -> str | None:
-        """Why the plan does not fit the disk, and what would; None when it fits."""
+        """A message if the plan does not fit the disk, with proposals that do; None if it fits."""
         if self.needed_bytes <= self.free_bytes:
             return None
         proposals = []
@@ -75,12 +75,12 @@ class Plan:
             proposals.append(f"{fitting} scenes fit")
         advice = "; ".join([*proposals, "--ignore-space renders until the disk is full"])
         return (
-            f"{self.scenes} scenes need about {size(self.needed_bytes)} and {size(self.free_bytes)} are free "
-            f"on the disk of {self.dataset.root}: {advice}"
+            f"{self.scenes} scenes need about {size(self.needed_bytes)}, and {size(self.free_bytes)} are "
+            f"free on the disk of {self.dataset.root}: {advice}"
         )
 
     def _fitting_resolution(self) -> str | None:
-        """The largest half, quarter, ... of the image size that fits."""
+        """The largest image size that fits, of the size divided by 2, 4, 8, ...; None if none fits."""
         layout = self.settings.layout(self.dataset)
         width, height = layout.width, layout.height
         share = 1
@@ -92,7 +92,7 @@ class Plan:
 
 
 def make_plan(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], done: Sequence[str]) -> Plan:
-    """Plan of rendering the scenes `todo`, from the sizes of `done` scenes where there are some."""
+    """The plan of rendering the scenes `todo`, with sizes from the scenes `done` if there are any."""
     layout = settings.layout(dataset)
     measured = [_measured(dataset, scene_id) for scene_id in done[:_MEASURED_SCENES]]
     images = [sizes[0] for sizes in measured if sizes[0]]
@@ -110,7 +110,7 @@ def make_plan(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], d
 
 
 def _measured(dataset: Dataset, scene_id: str) -> tuple[int, int]:
-    """Bytes of a rendered scene's images and transients, by its record."""
+    """Bytes of the images and of the transients of a rendered scene, from its record."""
     record = read_record(dataset.render_folder(scene_id))
     files = record.files if record is not None else {}
     images, transients = (
@@ -126,5 +126,5 @@ def _image_bytes(dataset: Dataset, settings: RenderSettings, layout: TransientLa
 
 
 def _transient_bytes(settings: RenderSettings, layout: TransientLayout) -> int:
-    pair = 2 * layout.width * layout.height * layout.bin_count  # bins of the scene and the mirrored scene
-    return int(settings.options.transient_fill * _FLOAT_BYTES * pair)
+    bin_count = layout.width * layout.height * layout.bin_count
+    return int(settings.options.transient_fill * _FLOAT_BYTES * len(TRANSIENT_FILES) * bin_count)

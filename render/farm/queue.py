@@ -1,7 +1,7 @@
-"""The queue of scenes: hands jobs to workers, retries what died, records what failed twice.
+"""The queue of scenes: gives jobs to the workers, tries failed scenes again, records what failed twice.
 
-The files are the truth and the scheduler is only hands: jobs are given out a few at a time, every answer is
-a file already, and whoever starts again finds in the files what is left to do.
+The state of a run is in the files, not in the scheduler. The queue gives out only as many jobs as there are
+workers, and a worker answers after it has written its files. A new run reads the files to find what is left.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from scenegen import Dataset, FailureRecord, NightError, write_failure
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-_WAIT_S = 1.0  # between looks at whether another command has finished its scenes
+_WAIT_S = 1.0  # between checks whether another command has finished its scenes
 _COUNT_S = 1.0  # between counts of the workers
-PATIENCE_S = 600.0  # without any worker before the command gives up
-_RESTART_S = 60  # for a fresh worker process to come up
-_MOST_UNBEGUN_DEATHS = 5  # workers that die before they begin a scene
+PATIENCE_S = 600.0  # a run without any worker ends with an error after this time
+_RESTART_S = 60  # time limit for the start of a new worker process
+_MOST_UNBEGUN_DEATHS = 5  # of workers that were given a scene and died before they began it
+_LOST = "the connection to the Dask scheduler was lost: start again to go on"
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +40,7 @@ class QueueError(NightError):
 
 @dataclass
 class Tally:
-    """What became of the scenes of a run: how many of each kind, and why some failed."""
+    """Results of a run: number of scenes by kind of outcome, and reason of failure by scene."""
 
     counts: Counter[str] = field(default_factory=Counter)
     failures: dict[str, str] = field(default_factory=dict)
@@ -54,10 +55,11 @@ class RenderQueue:
     client : connected to a scheduler whose workers see the dataset folder under the same path.
     dataset, settings : what to render and how.
     run_id : name of this run; attempts at a scene are counted for each run.
-    on_outcome : called with every answer of a worker, and `final` when the scene is through.
-    growth_bytes : what a worker may grow by before it makes way for a fresh one.
-    patience_s : how long to wait for any worker at all; None for ever, since batch systems let jobs queue.
-    work : what a worker does with a job.
+    on_outcome : called with every answer of a worker, and with True if the scene will not be tried again.
+    growth_bytes : memory that a worker may grow by before it is replaced.
+    patience_s : seconds to wait for a first worker; None waits without limit, because batch jobs may queue.
+    work : function that a worker calls with a job.
+    tally : results so far.
     """
 
     client: Client
@@ -75,7 +77,7 @@ class RenderQueue:
 
         Raises
         ------
-        QueueError : nothing can be rendered any more; what is done stays.
+        QueueError : nothing can be rendered any more; what is rendered stays.
         """
         waiting, elsewhere = deque(scenes), deque[str]()
         answers: threads_queue.SimpleQueue[Future] = threads_queue.SimpleQueue()
@@ -84,7 +86,7 @@ class RenderQueue:
         idle_since = counted = time.monotonic()
         slots = self._slots()
         while waiting or active or elsewhere:
-            if time.monotonic() - counted > _COUNT_S:  # asking costs more than handing out a job
+            if time.monotonic() - counted > _COUNT_S:  # counting takes longer than giving out a job
                 slots, counted = self._slots(), time.monotonic()
             while waiting and len(active) < slots:
                 scene_id = waiting.popleft()
@@ -123,18 +125,25 @@ class RenderQueue:
         return self.client.submit(self.work, job, pure=False, retries=0)
 
     def _slots(self) -> int:
-        """How many jobs to hand out: one a worker process, which renders one scene at a time."""
-        return max(1, len(self.client.nthreads()))
+        """How many jobs may be active: one per worker process, which renders one scene at a time."""
+        return max(1, self._workers())
+
+    def _workers(self) -> int:
+        """Number of worker processes; `QueueError` if the scheduler is gone."""
+        try:
+            return len(self.client.nthreads())
+        except OSError:  # the connection broke before the answer
+            raise QueueError(_LOST) from None
 
     def _checked_idle(self, since: float) -> float:
-        """Since when there has been no worker; `QueueError` after too long."""
+        """Time since when there has been no worker; `QueueError` if that is too long ago."""
         if self.client.status != "running":
-            raise QueueError("the connection to the Dask scheduler was lost: start again to go on")
-        if self.client.nthreads():
+            raise QueueError(_LOST)
+        if self._workers():
             return time.monotonic()
         if self.patience_s is not None and time.monotonic() - since > self.patience_s:
             raise QueueError(
-                f"no worker has come up within {self.patience_s / 60:.0f} minutes: look at the workers' logs"
+                f"no worker has started within {self.patience_s / 60:.0f} minutes: see the workers' logs"
             )
         return since
 
@@ -149,11 +158,10 @@ class RenderQueue:
             reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
             return Outcome(scene_id, "failed", reason, f"{error}\n", worker=where)
         except CancelledError:
-            reason = "the connection to the Dask scheduler was lost: start again to go on"
-            return Outcome(scene_id, "stop", reason)
-        except Exception as error:  # whatever a worker without NIGHT, or Dask itself, can raise
+            return Outcome(scene_id, "stop", _LOST)
+        except Exception as error:  # of any kind: from a worker without NIGHT, or from Dask itself
             what = " ".join(str(error).split()) or type(error).__name__
-            reason = f"the workers cannot take jobs ({what}): is the same NIGHT installed where they run?"
+            reason = f"the workers cannot take jobs ({what}): install the same NIGHT where they run"
             return Outcome(scene_id, "stop", reason)
         finally:
             future.release()
@@ -161,14 +169,14 @@ class RenderQueue:
         return outcome
 
     def _renew(self, address: str) -> None:
-        """Put a fresh process in a worker's place; it has no job now, or loses one that had not begun."""
+        """Replace a worker by a new process. A job that it has not begun yet is given out again."""
         try:
             self.client.restart_workers([address], timeout=_RESTART_S, raise_for_error=False)
-        except (OSError, ValueError, TimeoutError) as error:  # it may have gone by itself
+        except (OSError, ValueError, TimeoutError) as error:  # it may have ended already
             log.info("worker %s was not renewed: %s", address, " ".join(str(error).split()))
 
     def _is_final(self, outcome: Outcome, failed: _Failures) -> bool:
-        """Whether a scene has had its attempts; a worker that died before it began does not count."""
+        """Whether a scene has used up its attempts. A worker that died before it began does not count."""
         scene_id = outcome.scene_id
         begun = attempts_of(self.dataset.renders, scene_id, self.run_id)
         return (
@@ -194,7 +202,7 @@ class RenderQueue:
 
 @dataclass
 class _Failures:
-    """How often each scene failed: by an answer, or by the death of its worker."""
+    """How often each scene failed: with an answer, or because its worker died."""
 
     answers: Counter[str] = field(default_factory=Counter)
     deaths: Counter[str] = field(default_factory=Counter)

@@ -1,16 +1,14 @@
-"""A run of ``night-render``: look what is there, plan, refuse what does not fit, render the rest."""
+"""A run of ``night-render DATASET``: take stock of the renders, check the plan, render what is missing."""
 
 from __future__ import annotations
 
 import json
 import logging
-import os
 import secrets
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from render.backend import select_variant
 from render.farm.claims import joined_run
@@ -20,28 +18,27 @@ from render.farm.jobs import GROWTH_BYTES, Outcome
 from render.farm.note import note_rendering
 from render.farm.plan import make_plan
 from render.farm.queue import QueueError, RenderQueue, Tally
-from render.options import option_names, options_of
-from render.settings import RenderError, RenderSettings, settings_of
+from render.farm.run_log import LOG_FILE, log_file, log_outcome
+from render.farm.run_result import RunResult
+from render.settings import RenderError, RenderSettings
 from scenegen import Dataset, read_record
 from scenegen.progress import showing_progress
-
-LOG_FILE = "night-render.log"
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a run works, none of which changes a pixel.
+    """Options of a run that do not change any pixel.
 
     Attributes
     ----------
     workers, scheduler, cluster_file : where jobs run (`render.farm.clusters.connected`).
-    retry_failed : render scenes again that failed before.
-    replace : render scenes again that were rendered with other settings.
-    ignore_space : start although the disk looks too small.
-    growth_bytes : what a worker process may grow by before a fresh one takes its place.
-    progress : show a bar where there is a terminal.
+    retry_failed : whether to try scenes again that failed before.
+    replace : whether to render scenes again that were rendered with other settings.
+    ignore_space : whether to start even if the disk seems too small.
+    growth_bytes : memory that a worker process may grow by before it is replaced.
+    progress : whether to show the progress.
     """
 
     workers: int | None = None
@@ -54,65 +51,6 @@ class RunOptions:
     progress: bool = True
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """How a run ended.
-
-    Attributes
-    ----------
-    rendered : scenes that this run rendered.
-    present : scenes that were there, or were meanwhile rendered by another command.
-    failures : reason by scene that failed now.
-    skipped_failures : scenes that failed in an earlier run and were not tried again.
-    """
-
-    rendered: int
-    present: int
-    failures: dict[str, str] = field(default_factory=dict)
-    skipped_failures: int = 0
-
-    def sentences(self, renders: Path) -> list[str]:
-        """What was done, for people to read; `renders` is the folder of the renders."""
-        return [f"{self.rendered} scenes rendered, {self.present} were there; {renders}"]
-
-    def complaints(self, renders: Path) -> list[str]:
-        """What failed and what to do about it, for people to read; nothing when all went well."""
-        lines = [f"failed: scene {scene_id}: {reason}" for scene_id, reason in sorted(self.failures.items())]
-        if self.failures:
-            lines.append(
-                f"{len(self.failures)} scenes failed; logs are in {renders}/<id>/failure.log, and "
-                "night-render --retry-failed tries them again"
-            )
-        if self.skipped_failures:
-            lines.append(
-                f"{self.skipped_failures} scenes failed earlier and were left out: night-render "
-                "--retry-failed tries them again, night-render status names them"
-            )
-        return lines
-
-
-def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:
-    """Settings of a run: what the dataset was rendered with before, if it was, changed by what is given.
-
-    `given` has keys of `RenderSettings`, ``method``, and names of the method's options (`render.options`).
-    Giving another method, error or number of lights than before starts from the defaults of the method's
-    options.
-
-    Raises
-    ------
-    OptionError, RenderError : a method or option that there is not, or an impossible value.
-    """
-    before = dataset.rendering
-    settings = settings_of(before, dataset) if before else RenderSettings(product="both")
-    known = option_names()
-    options = {name: value for name, value in given.items() if name in known}
-    others = {name: value for name, value in given.items() if name not in known}
-    method = others.pop("method", settings.method)
-    if options or method != settings.method:
-        others["options"] = options_of(method, options)
-    return replace(settings, **others)
-
-
 def render_dataset(
     dataset: Dataset,
     settings: RenderSettings,
@@ -120,17 +58,23 @@ def render_dataset(
     options: RunOptions,
     say: Callable[[str], object],
 ) -> RunResult:
-    """Render those of `scenes` that are not rendered yet; what is done, stays.
+    """Render the scenes among `scenes` that are not rendered yet.
+
+    Parameters
+    ----------
+    say : called with each sentence of the plan.
 
     Raises
     ------
-    RenderError : scenes rendered with other settings, a disk too small, scenes without description.
-    OtherRunError, ClusterError, BackendError, QueueError : another command with other settings, no workers,
-        no device, or something that stops all work. What was rendered before that stays.
+    RenderError : a scene is rendered with other settings, or the disk is too small.
+    OtherRunError : another command renders the dataset with other settings.
+    ClusterError : there are no workers.
+    BackendError : this machine cannot render on the requested device.
+    QueueError : no further scene can be rendered. The scenes rendered so far stay.
     """
-    _refuse_device(settings, options)  # before anything is touched
+    _refuse_device(settings, options)  # before any file is written
     renders = dataset.renders
-    with joined_run(renders, json.dumps(settings.common_recipe(dataset))), _log_file(renders / LOG_FILE):
+    with joined_run(renders, json.dumps(settings.common_recipe(dataset))), log_file(renders / LOG_FILE):
         found = _look(dataset, settings, scenes, options)
         whole = set(scenes) == set(dataset.ids())
         result = RunResult(0, len(found.done), skipped_failures=found.skipped)
@@ -140,13 +84,17 @@ def render_dataset(
             try:
                 tally = _work(dataset, settings, found.todo, options)
             except QueueError:
-                note_rendering(dataset, settings, whole, finished=True)
+                if renders.is_dir():  # a deleted dataset must not come back
+                    note_rendering(dataset, settings, whole, finished=True)
                 raise
             present = len(found.done) + tally.counts["present"]
             result = RunResult(tally.counts["rendered"], present, tally.failures, found.skipped)
         note_rendering(dataset, settings, whole, finished=True)
         log.info(
-            "%d rendered, %d were there, %d failed", result.rendered, result.present, len(result.failures)
+            "%d rendered, %d were there already, %d failed",
+            result.rendered,
+            result.present,
+            len(result.failures),
         )
     return result
 
@@ -162,8 +110,8 @@ def plan_run(
 
     Raises
     ------
-    RenderError, OtherRunError, ClusterError, BackendError : as of `render_dataset`, but for a scheduler that
-        does not answer.
+    RenderError, OtherRunError, ClusterError, BackendError : as in `render_dataset`. A scheduler that does not
+        answer is not noticed, because nothing is connected.
     """
     _refuse_device(settings, options)
     check_cluster(options.scheduler, options.cluster_file)
@@ -173,12 +121,12 @@ def plan_run(
         if found.todo:
             _announce(dataset, settings, found, options, say)
         else:
-            say(f"nothing to render: {len(found.done)} scenes are there, {found.skipped} failed earlier")
+            say(f"nothing to render: {len(found.done)} scenes are rendered, {found.skipped} failed earlier")
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What a run finds: scenes to render, scenes that are there, and how many failed earlier and are left."""
+    """The scenes of a run: those to render, those that are rendered, and how many failed earlier."""
 
     todo: list[str]
     done: list[str]
@@ -203,7 +151,7 @@ def _announce(
     options: RunOptions,
     say: Callable[[str], object],
 ) -> None:
-    """Say the plan; `RenderError` where it does not fit the disk."""
+    """Say the plan; `RenderError` if it does not fit the disk."""
     plan = make_plan(dataset, settings, found.todo, found.done)
     for sentence in plan.sentences():
         say(sentence)
@@ -214,7 +162,7 @@ def _announce(
 
 
 def _refuse_device(settings: RenderSettings, options: RunOptions) -> None:
-    """`BackendError` where this machine is to render and cannot."""
+    """`BackendError` if this machine must render and cannot."""
     if not (options.scheduler or options.cluster_file):
         select_variant(settings.device)
 
@@ -225,7 +173,7 @@ def _todo(dataset: Dataset, states: dict[str, State], options: RunOptions) -> li
     if others and not options.replace:
         raise RenderError(
             f"{len(others)} scenes of {dataset.root} (first {others[0]}) are rendered with other settings, "
-            "or were changed since: leave the options out to go on with the settings of before, or give "
+            "or were changed since: leave the options out to go on with the earlier settings, or give "
             "--replace to render them again"
         )
     wanted = {"missing", "damaged", "other"} | ({"failed"} if options.retry_failed else set())
@@ -245,7 +193,7 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
 
         def note(outcome: Outcome, final: bool) -> None:
             nonlocal failed
-            _log_outcome(outcome, final)
+            log_outcome(outcome, final)
             if final:
                 failed += outcome.kind == "failed"
                 bar.set_postfix(failed=failed, refresh=False)
@@ -262,44 +210,3 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
             return queue.run(todo)
         finally:
             inventory.save()
-
-
-def _log_outcome(outcome: Outcome, final: bool) -> None:
-    if outcome.kind == "failed":
-        after = "given up" if final else "once more"
-        log.info("%s failed on %s: %s (%s)", outcome.scene_id, outcome.worker, outcome.reason, after)
-    elif outcome.kind == "rendered":
-        made = outcome.attributes
-        how = ", ".join(f"{name} {made[name]}" for name in ("lights", "hidden_error") if name in made)
-        log.info(
-            "%s rendered in %.2f s on %s (%s)",
-            *(outcome.scene_id, outcome.seconds, outcome.worker, how or made.get("method", "")),
-        )
-        for line in outcome.log.splitlines():
-            log.info("%s: %s", outcome.scene_id, line)
-
-
-@contextmanager
-def _log_file(file: Path) -> Iterator[None]:
-    """Append what the run logs to a file; a disk that takes no more of it stops nothing."""
-    try:
-        handler: logging.Handler = logging.FileHandler(file, encoding="utf-8")
-    except OSError:
-        handler = logging.NullHandler()
-    handler.setFormatter(logging.Formatter(f"%(asctime)s {os.getpid()} %(message)s"))
-    handler.handleError = lambda record: None  # type: ignore[method-assign]
-    logger = logging.getLogger("render")
-    level, propagate = logger.level, logger.propagate
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
-    logger.addHandler(handler)
-    try:
-        yield
-    except BaseException as error:
-        log.info("ended: %s", " ".join(str(error).split()) or type(error).__name__)
-        raise
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        logger.propagate = propagate
-        handler.close()

@@ -1,4 +1,4 @@
-"""How far a dataset is rendered, read from its files: no scheduler is asked."""
+"""How far a dataset is rendered, read from its files without a scheduler."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from render.settings import RenderSettings
 from scenegen import RECORD_FILE, Dataset, read_failure, read_record
 from scenegen.progress import duration
 
-_LATEST = 200  # scenes whose pace counts
+_LATEST = 200  # scenes that the pace is computed from
 _LISTED = 10  # failures that are named
-_PAUSE_S = 60.0  # between scenes, beyond which the pace is that of another run
+_PAUSE_S = 60.0  # a longer pause between scenes separates two runs
 
 
 @dataclass(frozen=True)
 class Status:
-    """Where a dataset's renders stand.
+    """How far a dataset is rendered.
 
     Attributes
     ----------
     counts : scenes by state (`render.farm.inventory.State`).
-    running : scenes that some process works on now.
-    failures : reason by scene.
-    used_bytes, free_bytes : of the recorded files, and of the disk.
-    scenes_per_hour : pace of the latest scenes; None when nothing is being rendered.
+    running : scenes that are being rendered now.
+    failures : reason of failure by scene.
+    used_bytes, free_bytes : size of the recorded files, and free space on the disk.
+    scenes_per_hour : pace of the latest scenes; None if nothing is being rendered.
     """
 
     counts: Counter[State]
@@ -45,11 +45,11 @@ class Status:
 
     @property
     def missing(self) -> int:
-        """Scenes that are still to be rendered, those being rendered now included."""
+        """Number of scenes that are still to be rendered, including those being rendered now."""
         return self.counts["missing"] + self.counts["damaged"] + self.counts["other"]
 
     def sentences(self) -> list[str]:
-        """The status for people to read."""
+        """The status as lines of text."""
         total = sum(self.counts.values())
         waiting = max(0, self.missing - len(self.running))
         parts = [
@@ -60,9 +60,9 @@ class Status:
         ]
         lines = [f"{total} scenes: {', '.join(parts)}"]
         if self.counts["damaged"]:
-            lines.append(f"of the missing, {self.counts['damaged']} are there but damaged")
+            lines.append(f"{self.counts['damaged']} of the missing scenes are damaged")
         if self.counts["other"]:
-            lines.append(f"of the missing, {self.counts['other']} are rendered with other settings")
+            lines.append(f"{self.counts['other']} of the missing scenes are rendered with other settings")
         lines.append(f"disk: {size(self.used_bytes)} used by renders, {size(self.free_bytes)} free")
         if self.scenes_per_hour and self.missing:
             left = duration(3600 * self.missing / self.scenes_per_hour)
@@ -75,7 +75,7 @@ class Status:
 
 
 def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str]) -> Status:
-    """Status of scenes of a dataset under `settings`."""
+    """Status of scenes of a dataset for `settings`."""
     states = Inventory(dataset, settings).states(scenes)
     failures, used, times = {}, 0, []
     for scene_id, state in states.items():
@@ -87,7 +87,7 @@ def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str
         if record is None:
             continue
         used += sum(file.bytes for file in record.files.values())
-        with suppress(FileNotFoundError):  # it may be about to be rendered again
+        with suppress(FileNotFoundError):  # another command may be rendering it again
             times.append((folder / RECORD_FILE).stat().st_mtime)
     now_running = running(dataset.renders)
     return Status(
@@ -101,7 +101,7 @@ def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str
 
 
 def _pace(times: list[float]) -> float | None:
-    """Scenes an hour over the latest ones, up to now; what came before a long pause does not count."""
+    """Scenes per hour of the latest ones, up to now; scenes before a long pause do not count."""
     latest = sorted(times)[-_LATEST:]
     gaps = [after - before for before, after in pairwise(latest)]
     if not gaps:

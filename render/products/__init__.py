@@ -1,6 +1,6 @@
-"""What is made of renders once they are there; nothing here loads Mitsuba.
+"""What is made of finished renders. Nothing here loads Mitsuba.
 
 Here: conversion to other frequencies, y-tal captures, movies, verification, and the preview of a dataset
-(contact sheet, distributions, card). May import `render.farm` for its locks, and the settings; not
+(contact sheet, distributions, card). May import the locks of `render.farm` and the settings; not
 `render.transport`.
 """

@@ -1,4 +1,4 @@
-"""The dataset card: a README.md that says what a dataset holds, how it was made, and how to read it."""
+"""The dataset card: a README.md with the contents of a dataset, how it was made, and how to read it."""
 
 from __future__ import annotations
 
@@ -20,19 +20,25 @@ _MARK = re.compile(r"<!-- night-gen preview writes this file; licence: (?P<licen
 
 
 class CardError(NightError):
-    """A licence that cannot stand in a card."""
+    """A licence cannot be written into a card."""
 
 
 @dataclass(frozen=True)
 class EarlierCard:
-    """What stands in a dataset's README.md before it is written: whether it is ours, and its licence."""
+    """The README.md of a dataset before the card is written.
+
+    Attributes
+    ----------
+    is_ours : whether this program wrote it, so that it may be replaced; True if there is no file.
+    licence : the licence in it, None without one.
+    """
 
     is_ours: bool
     licence: str | None
 
 
 def read_card(dataset: Dataset) -> EarlierCard:
-    """The card that a dataset has; where there is none, one of ours without a licence."""
+    """Read the README.md of a dataset."""
     file = dataset.root / CARD_FILE
     if not file.exists():
         return EarlierCard(is_ours=True, licence=None)
@@ -45,7 +51,7 @@ def read_card(dataset: Dataset) -> EarlierCard:
 
 
 def checked_licence(licence: str) -> str:
-    """A licence in one line; `CardError` when there is nothing in it."""
+    """A licence on one line; `CardError` if it is empty or not printable."""
     words = " ".join(licence.split())
     if not words.isprintable() or not words:
         raise CardError('--licence needs the name of a licence, like "CC BY 4.0"')
@@ -53,9 +59,9 @@ def checked_licence(licence: str) -> str:
 
 
 def dataset_card(dataset: Dataset, found: Distributions, licence: str | None) -> str:
-    """Markdown text of the card; it holds nothing of the machine it is made on."""
+    """Text of the card, in Markdown. It has no information about the machine that makes it."""
     name = dataset.root.resolve().name
-    # A comment of HTML ends at the first "--"; JSON may write that otherwise.
+    # An HTML comment ends at the first "--", so JSON escapes replace these characters.
     kept = json.dumps(licence).replace("--", "\\u002d\\u002d").replace(">", "\\u003e")
     parts = [
         f"# {name}",
@@ -76,10 +82,10 @@ def dataset_card(dataset: Dataset, found: Distributions, licence: str | None) ->
 def _about(dataset: Dataset, found: Distributions) -> str:
     rendered = len(found.object_pixels)
     return (
-        f"{len(dataset.ids())} synthetic look-behind-a-corner scenes, {rendered} of them rendered: an "
-        "indirect time-of-flight camera looks at a wall, and a small part of the light that comes back has "
-        "met an object hidden behind a corner. Each rendered scene has what the camera measures and, as "
-        "ground truth, the radial depth that it would see if the wall were a mirror. Made with NIGHT."
+        f"{len(dataset.ids())} synthetic look-behind-a-corner scenes, {rendered} of them rendered. An "
+        "indirect time-of-flight camera looks at a wall. A small part of the light that returns to it has "
+        "met an object hidden behind a corner. Each rendered scene has the measurement of the camera and, "
+        "as ground truth, the radial depth that it would see if the wall were a mirror. Made with NIGHT."
     )
 
 
@@ -128,7 +134,7 @@ def _making(dataset: Dataset) -> str:
         made.append(("packages of the scenes", _versions(index.packages)))
     made += [(f"mesh `{shape}`", f"SHA-256 {digest}") for shape, digest in index.meshes.items()]
     if rendering is None:
-        made.append(("rendering", "there is no record of it"))
+        made.append(("rendering", "not recorded"))
     else:
         options = ", ".join(
             f"{name} {value}" for name, value in rendering.options.items() if value is not None
@@ -151,20 +157,21 @@ def _making(dataset: Dataset) -> str:
     else:
         made += [(f"preset key `{key}`", f"`{value}`") for key, value in changes.items()]
     return (
-        f"{_table(('', ''), made)}\n\nPreset keys that do not stand here have the paper's value; all of them "
-        "are in `dataset.json`."
+        f"{_table(('', ''), made)}\n\nPreset keys that are not listed here have the value of the paper; "
+        "`dataset.json` has all keys."
     )
 
 
 def _reading(dataset: Dataset, found: Distributions) -> str:
     scene_id = next(iter(found.object_pixels), dataset.ids()[0])
-    return f"""Each scene has a folder of its own, all images are OpenEXR files of 32-bit floats.
+    return f"""Each scene has its own folder. All images are OpenEXR files with 32-bit floats.
 
 - `dataset.json`: the scene list (id, class, split) and the preset
 - `scenes/{scene_id}/`: the scene as data, and as Mitsuba 3 files with their meshes
+- `renders/rendering.json`: how the scenes were rendered
 - `renders/{scene_id}/{MEASUREMENT_FILE}`: complex phasors `itof.<f>MHz.Re`, `.Im`
 - `renders/{scene_id}/{GROUND_TRUTH_FILE}`: `depth.R` (radial depth in metres, 0 on background), `mask.M`
-- `renders/{scene_id}/{TRANSIENT_FILE}`: the measurement over time, if it was rendered
+- `renders/{scene_id}/{TRANSIENT_FILE}`: the transient, if it was rendered
 
 ```python
 from itof import depth_from_phase, phase, read_image
@@ -178,7 +185,7 @@ hidden_depth_m = read_image("renders/{scene_id}/{GROUND_TRUTH_FILE}").channel("d
 def _licence_text(licence: str | None) -> str:
     if licence is not None:
         return licence
-    return 'None has been chosen yet. Set one with `night-gen preview DATASET --licence "CC BY 4.0"`.'
+    return 'No licence has been chosen yet. Set one with `night-gen preview DATASET --licence "CC BY 4.0"`.'
 
 
 _CITATION = """The scenes follow
@@ -188,7 +195,7 @@ _CITATION = """The scenes follow
 
 
 def _differences(preset: Preset) -> Iterator[tuple[str, str]]:
-    """Keys of a preset whose values are not the paper's, which are the defaults."""
+    """Keys and values of a preset that differ from the defaults, which are those of the paper."""
     ours, papers = _flat(asdict(preset)), _flat(asdict(Preset()))
     yield from ((key, json.dumps(value)) for key, value in ours.items() if value != papers[key])
 
@@ -201,7 +208,7 @@ def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _disk(root: Path) -> Iterator[tuple[str, int]]:
-    """Bytes in the folders that a dataset has."""
+    """Name and size in bytes of the folders of a dataset."""
     for name in ("scenes", "renders", "shards"):
         if (root / name).is_dir():
             yield name, sum(file.stat().st_size for file in (root / name).rglob("*") if file.is_file())

@@ -1,6 +1,6 @@
-"""From time-resolved files to phasors: other frequencies, and the small product in place of the large one.
+"""Conversion of transients to phasors, and deletion of transients.
 
-The reverse is impossible: a few phasors are sums over all time bins, and no transient can be had from them.
+Phasors cannot be converted back: each is a sum over all time bins, and a few sums do not determine the bins.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from scenegen import (
 
 
 class ExportError(NightError):
-    """A rendered scene that cannot be turned into what was asked for."""
+    """A rendered scene cannot be converted or exported as requested."""
 
 
 def open_transient(dataset: Dataset, scene_id: str) -> TransientReader:
-    """Reader of a scene's ``transient.exr``; use as a context manager.
+    """Reader of the ``transient.exr`` of a scene, for use in a ``with`` statement.
 
     Raises
     ------
-    DatasetError : there is no such scene.
-    ExportError : the scene was rendered without transients, or not at all.
+    DatasetError : the dataset has no such scene.
+    ExportError : the scene is not rendered, or was rendered without transients.
     ImageFileError : the file is damaged.
     """
     dataset.entry(scene_id)
@@ -46,14 +46,14 @@ def open_transient(dataset: Dataset, scene_id: str) -> TransientReader:
     if not file.is_file():
         raise ExportError(
             f"scene {scene_id} of {dataset.root} has no {TRANSIENT_FILE}: "
-            "render it with night-render --product transient or both"
+            "render it with night-render DATASET --product both"
         )
     return TransientReader(file)
 
 
 @contextmanager
 def exported_file(out: Path) -> Iterator[Path]:
-    """`scenegen.whole_file` with one sentence (`ExportError`) where `out` cannot be written."""
+    """`scenegen.whole_file` that raises `ExportError` if `out` cannot be written."""
     try:
         with whole_file(out) as partial:
             yield partial
@@ -64,24 +64,26 @@ def exported_file(out: Path) -> Iterator[Path]:
 def convert_to_itof(
     dataset: Dataset, scene_id: str, folder: Path, frequencies_hz: Sequence[float] | None = None
 ) -> Path:
-    """Write ``<folder>/<scene id>_itof.exr``: phasors at any frequencies from a scene's transient.
+    """Write ``<folder>/<scene id>_itof.exr``: phasors of a scene at any frequencies, from its transient.
 
-    The file is like ``itof.exr``, but has no direct and hidden parts, which bins do not tell apart, and no
-    ``night.hidden_error``, which is of the frequencies that were rendered. ``night.phasors_from`` says that
-    the phasors are sums over bins; they are within 1 % of the hidden part of exact ones (docs/rendering.md).
+    The file is like ``itof.exr``, with three differences. It has no direct and hidden parts, because they
+    share the bins. It has no ``night.hidden_error``, which is for the rendered frequencies. The attribute
+    ``night.phasors_from`` says that the phasors are sums over bins; their error is below 1 % of the hidden
+    part (docs/rendering.md).
 
     Parameters
     ----------
-    folder : where to; made if need be.
-    frequencies_hz : modulation frequencies, Hz; the preset's by default.
+    folder : folder of the new file; it is made if it does not exist.
+    frequencies_hz : modulation frequencies, Hz; None takes those of the preset.
 
     Returns
     -------
-    The file that was written.
+    Path of the new file.
 
     Raises
     ------
-    ExportError : no transient, frequencies that its bins cannot resolve, or a file that cannot be written.
+    ExportError : the scene has no transient, its bins cannot resolve a frequency, or the file cannot be
+        written.
     """
     wanted_hz = sorted(set(dataset.preset.itof.frequencies_hz if frequencies_hz is None else frequencies_hz))
     out = folder / f"{scene_id}_itof.exr"
@@ -105,35 +107,40 @@ def convert_to_itof(
 
 
 def shrink_to_itof(dataset: Dataset, scene_id: str) -> int:
-    """Make the small product (``itof``) of a scene rendered to ``transient`` or ``both``.
+    """Delete the transients of a rendered scene and keep its phasors and ground truth (product ``itof``).
 
-    Transients are deleted once the images beside them are proved whole. The record loses them first, so an
-    interruption leaves files too many, which the next call deletes, and never a record of files that are
-    gone. Only rendering brings the transients back.
+    The images are checked before the transients are deleted. The record is changed first: an interruption can
+    leave transients without a record, which the next call deletes, but not a record without its files. Only
+    rendering makes the transients again.
 
     Returns
     -------
-    Bytes freed; 0 for a scene that has no transients.
+    Bytes freed; 0 for a scene without transients.
 
     Raises
     ------
-    ExportError : the scene is not rendered, or its images are not whole; nothing is deleted then.
+    ExportError : the scene is not rendered, or its images are damaged; then nothing is deleted.
     """
     dataset.entry(scene_id)
     folder = dataset.render_folder(scene_id)
     record = read_record(folder)
     if record is None:
-        raise ExportError(f"scene {scene_id} of {dataset.root} is not rendered: nothing to shrink")
+        raise ExportError(
+            f"scene {scene_id} of {dataset.root} is not rendered: it has no transients to delete"
+        )
     for name in IMAGE_FILES:
         file = folder / name
         expected = record.files.get(name)
         if expected is None or not file.is_file() or sha256_of(file) != expected.sha256:
             raise ExportError(
-                f"scene {scene_id}: {name} is missing or not what was rendered, so its transients stay: "
-                "render it again"
+                f"scene {scene_id}: {name} is missing or not what was rendered, so the transients are not "
+                "deleted: render the scene again"
             )
         if not all(np.isfinite(values).all() for values in read_image(file).channels.values()):
-            raise ExportError(f"scene {scene_id}: {name} holds NaN, so its transients stay: render it again")
+            raise ExportError(
+                f"scene {scene_id}: {name} holds NaN, so the transients are not deleted: "
+                "render the scene again"
+            )
     files = [folder / name for name in TRANSIENT_FILES if (folder / name).is_file()]
     freed = sum(file.stat().st_size for file in files)
     kept = {name: entry for name, entry in record.files.items() if name not in TRANSIENT_FILES}
@@ -145,17 +152,24 @@ def shrink_to_itof(dataset: Dataset, scene_id: str) -> int:
 
 
 def shrink_dataset(dataset: Dataset, scenes: Iterable[str]) -> int:
-    """`shrink_to_itof` of scenes; where these are all, the dataset's product becomes ``itof`` first.
+    """Delete the transients of several scenes (`shrink_to_itof`).
+
+    If these are all scenes of the dataset, ``rendering.json`` first gets the product ``itof``.
 
     Returns
     -------
     Bytes freed.
+
+    Raises
+    ------
+    ExportError : a scene is not rendered, or its images are damaged.
+    OtherRunError : a run of ``night-render`` renders the dataset now.
     """
     wanted = list(scenes)
     bare = [scene_id for scene_id in wanted if read_record(dataset.render_folder(scene_id)) is None]
     if bare:
         raise ExportError(f"{len(bare)} scenes (first {bare[0]}) are not rendered: nothing was deleted")
-    with joined_run(dataset.renders, "conversion to itof"):
+    with joined_run(dataset.renders, "drop-transients"):
         return _shrink(dataset, wanted)
 
 

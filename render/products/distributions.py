@@ -1,4 +1,4 @@
-"""How a dataset's scenes are spread: places and rotations of objects, roughness, classes, object pixels."""
+"""Distributions in a dataset: positions and rotations of objects, roughness, classes, object pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from render.products.contact_sheet import class_name, is_rendered, read_ground_truth
+from render.products.tiles import class_name, is_rendered, read_ground_truth
 from scenegen import Dataset, Preset, Split
 from scenegen.scene import HiddenObject
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAPER_BACKGROUND_RATIO = 30.2  # background pixels to one of the object (Caligiuri et al. 2024, sec. 4)
+PAPER_BACKGROUND_RATIO = 30.2  # background pixels per object pixel (training log of the released code)
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 _BINS = 20
 _COLOURS = {"train": "#4477aa", "validation": "#ccbb44", "test": "#ee6677"}
@@ -27,17 +27,17 @@ _FIRST, _SECOND = "#4477aa", "#ee9944"
 
 @dataclass(frozen=True)
 class Distributions:
-    """What was sampled in N scenes, and what of it was rendered.
+    """Sampled values of N scenes, and object pixels of the rendered ones.
 
     Attributes
     ----------
-    locations_m, rotations_deg : (N, 3), of every scene's (first) object.
-    second_locations_m, second_rotations_deg : (M, 3), of the second objects of composites.
-    roughness : one a scene with a rough relay wall.
-    class_counts : scenes by class and split, classes in order of first appearance.
-    object_pixels : pixels of the object in the ground truth, by id, of rendered scenes.
-    image_pixels : pixels of the whole image, of the same scenes.
-    image_sizes : the (width, height) there are among them, ascending.
+    locations_m, rotations_deg : (N, 3) of the first object of each scene.
+    second_locations_m, second_rotations_deg : (M, 3) of the second objects of composites.
+    roughness : of the relay wall, of all scenes where it is rough.
+    class_counts : number of scenes by class and split; classes in the order of the dataset.
+    object_pixels : number of object pixels in the ground truth, by id, of the rendered scenes.
+    image_pixels : number of pixels of the image, by id, of the rendered scenes.
+    image_sizes : all (width, height) of the rendered scenes, ascending.
     """
 
     locations_m: NDArray[np.float64]
@@ -52,18 +52,18 @@ class Distributions:
 
     @property
     def background_ratio(self) -> float | None:
-        """Background pixels to one of the object, all rendered scenes together; None without any."""
+        """Background pixels per object pixel in all rendered scenes; None without object pixels."""
         on_object, all_pixels = sum(self.object_pixels.values()), sum(self.image_pixels.values())
         return (all_pixels - on_object) / on_object if on_object else None
 
 
 def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Distributions:
-    """Read all scenes, and the ground truth of those that are rendered; calls `on_scene` after each.
+    """Read all scenes and the ground truth of the rendered ones; call `on_scene` after each scene.
 
     Raises
     ------
-    ImageFileError, RenderError : a damaged ground truth.
-    DatasetError : a scene that is gone or damaged.
+    ImageFileError, RenderError : a ground truth is damaged.
+    DatasetError : a scene is missing or damaged.
     """
     first: list[HiddenObject] = []
     second: list[HiddenObject] = []
@@ -96,7 +96,7 @@ def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Dist
 
 
 def distributions_figure(found: Distributions, preset: Preset) -> Figure:
-    """Histograms of all that is sampled; dashed lines are the ranges that the preset asks for."""
+    """Histograms of all sampled values; dashed lines are the ranges in the preset."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -121,7 +121,7 @@ def distributions_figure(found: Distributions, preset: Preset) -> Figure:
 
 
 def ratio_sentence(found: Distributions) -> str:
-    """Background/object pixel ratio beside the paper's, in words."""
+    """The ratio of background to object pixels, with that of the paper, as text."""
     if not found.object_pixels:
         return "no scene is rendered yet"
     ratio = found.background_ratio
@@ -135,10 +135,10 @@ def _histogram(
     asked: tuple[float, float],
     name: str,
 ) -> None:
-    """First objects, second ones on top of them, and the range asked for of the first."""
+    """Stacked histogram of first and second objects, with the range of the first in the preset."""
     low, high = (pick(np.concatenate([*values, asked])) for pick in (np.min, np.max))
     span, whole = asked[1] - asked[0], (high - low) or 1.0
-    # Bins end where the range does, so that none straddles an end.
+    # The ends of the range are edges of bins, so that no bin is partly inside the range.
     width = span / max(1, round(_BINS * span / whole)) if span > whole / _BINS else whole / _BINS
     first, last = np.floor((low - asked[0]) / width), np.ceil((high - asked[0]) / width + 1e-9)
     edges = asked[0] + width * np.arange(first, last + 1)
@@ -196,7 +196,7 @@ def _draw_object_pixels(panel: Axes, found: Distributions) -> None:
 
 
 def size_text(sizes: Sequence[tuple[int, int]]) -> str:
-    """Image sizes, as people write them."""
+    """Image sizes as text, like ``320 x 240, 160 x 120``."""
     return ", ".join(f"{width} x {height}" for width, height in sizes)
 
 

@@ -1,6 +1,6 @@
-"""Depth of a scene by hand: rays and triangles in numpy, as a check on Mitsuba and on the mirrored meshes.
+"""Depth of a scene by ray tracing in numpy, a check of Mitsuba and of the mirrored meshes.
 
-The mirror image is made here, from the *unmirrored* meshes and the pose of the relay wall.
+The mirror image is computed here, from the *unmirrored* meshes and the pose of the relay wall.
 """
 
 from __future__ import annotations
@@ -22,7 +22,13 @@ def traced_depth_m(
     rows: NDArray[np.int64],
     columns: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """(N,) radial depth through pixel centres of the mirrored scene, 0 where a ray meets no hidden object."""
+    """(N,) radial depth of the mirrored scene at pixel centres, metres, 0 without a hidden object.
+
+    Parameters
+    ----------
+    shape : height and width of the image, pixels.
+    rows, columns : (N,) pixels.
+    """
     scene = dataset.scene(scene_id)
     height, width = shape
     rays = pixel_rays(width, height, scene.camera.horizontal_fov_deg)[rows, columns]
@@ -33,7 +39,7 @@ def traced_depth_m(
     nearest = np.full(len(rows), np.inf)
     for number in range(len(scene.hidden_objects)):
         corners = _triangles(folder / f"hidden_object_{number}.ply")
-        mirrored = corners - 2 * ((corners - point) @ normal)[..., None] * normal  # reflection, not a path
+        mirrored = corners - 2 * ((corners - point) @ normal)[..., None] * normal
         nearest = np.minimum(nearest, _first_hits(origin, directions, mirrored))
     blocked = _first_hits(origin, directions, _triangles(folder / "middle_wall.ply")) < nearest
     return np.where(np.isinf(nearest) | blocked, 0.0, nearest)
@@ -48,9 +54,9 @@ def _triangles(file: Path) -> NDArray[np.float64]:
 def _first_hits(
     origin: NDArray[np.float64], directions: NDArray[np.float64], triangles: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(N,) distance along each ray to the nearest triangle, infinity without one.
+    """(N,) distance along each ray to the nearest triangle, infinity if it meets none.
 
-    Source: Möller and Trumbore, Fast, minimum storage ray/triangle intersection, 1997.
+    Source: Möller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
     """
     first, edge_a, edge_b = triangles[:, 0], *(triangles[:, i] - triangles[:, 0] for i in (1, 2))
     to_origin = origin - first  # (M, 3)

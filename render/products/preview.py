@@ -1,4 +1,4 @@
-"""A dataset's preview: contact sheet, distributions and card, written into its folder."""
+"""Writes the preview of a dataset into its folder: contact sheet, distributions and card."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from render.products.card import (
     dataset_card,
     read_card,
 )
-from render.products.contact_sheet import PICTURE_SIZE, contact_sheet, read_tile
+from render.products.contact_sheet import contact_sheet
 from render.products.distributions import distributions_figure, read_distributions
+from render.products.tiles import PICTURE_SIZE, read_tile
 from render.settings import RenderError
 from scenegen import Dataset, Scene, rotation_matrix, whole_file, write_text
 from scenegen.making.meshes import UserMesh
@@ -39,22 +40,25 @@ def write_preview(
     licence: str | None = None,
     on_step: Callable[[], object] = lambda: None,
 ) -> list[Path]:
-    """Write the preview of a dataset; returns the files that were written.
-
-    A README.md that is not ours is kept, and then not among them.
+    """Write the preview of a dataset.
 
     Parameters
     ----------
     ids : scenes of the contact sheet.
-    picture : (scene, width, height) to an (H, W, 3) view; `scenegen.making.blender.BlenderMaker.picture`.
-    licence : of the dataset, for its card; None keeps the one that the card has.
-    on_step : called once for every scene of the dataset and once more for every one of `ids`.
+    picture : function of scene, width and height that returns an (H, W, 3) view, like
+        `scenegen.making.blender.BlenderMaker.picture`.
+    licence : licence of the dataset for its card; None keeps the licence in the card.
+    on_step : called once for every scene of the dataset, and once more for every one of `ids`.
+
+    Returns
+    -------
+    The files that were written. A README.md that this program did not write is kept and not among them.
 
     Raises
     ------
-    CardError : a licence that is empty.
-    ImageFileError, RenderError : a damaged render.
-    DatasetError : a scene that is gone or damaged.
+    CardError : the licence is empty.
+    ImageFileError, RenderError : a render is damaged.
+    DatasetError : a scene is missing or damaged.
     """
     chosen = None if licence is None else checked_licence(licence)
     found = read_distributions(dataset, on_step)
@@ -74,7 +78,7 @@ def write_preview(
 
 
 def check_preview(dataset: Dataset, ids: Sequence[str], licence: str | None) -> None:
-    """Raise what `write_preview` would of a licence and of the renders of `ids`, without drawing anything."""
+    """Raise the errors of `write_preview` for the licence and the renders of `ids`, without drawing."""
     if licence is not None:
         checked_licence(licence)
     width, height = PICTURE_SIZE
@@ -83,13 +87,13 @@ def check_preview(dataset: Dataset, ids: Sequence[str], licence: str | None) -> 
 
 
 def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
-    """The users' meshes that a dataset's scenes show, by shape, from the scenes' own files.
+    """The users' own meshes in the scenes of a dataset, by shape, from the files of the scenes.
 
-    The files they were made from need not be there any more.
+    The mesh files that the user gave are not needed.
 
     Raises
     ------
-    RenderError : a scene's mesh is gone or damaged.
+    RenderError : the mesh of a scene is missing or damaged.
     """
     wanted = {s for s in dataset.preset.hidden_object.shapes if s.startswith(MESH_PREFIX)}
     meshes: dict[str, UserMesh] = {}

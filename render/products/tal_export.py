@@ -1,6 +1,6 @@
-"""A scene's transient as an HDF5 file for y-tal, the toolbox of the Zaragoza transient imaging group.
+"""Export of a transient as an HDF5 file for y-tal, a toolbox of the Graphics and Imaging Lab in Zaragoza.
 
-Layout: ``NLOSCaptureData`` of y-tal 0.20 (https://github.com/diegoroyo/tal), its file format HDF5_TAL.
+Source: ``NLOSCaptureData`` in y-tal 0.20 (https://github.com/diegoroyo/tal), file format HDF5_TAL.
 """
 
 from __future__ import annotations
@@ -19,45 +19,46 @@ from scenegen import Dataset, Scene, camera_axes, rotation_matrix, wall_normal
 if TYPE_CHECKING:
     import h5py
 
-# tal's enumerations, as its files name them.
+# Enumerations of tal, with the names in its files.
 _H_FORMAT = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
 _GRID_FORMAT = {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2}
 _VOLUME_FORMAT = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
-_CHUNK_BINS, _CHUNK_COLUMNS, _CHUNK_ROWS = 250, 32, 8  # 256 kB: a few fit HDF5's cache of 1 MB
+_CHUNK_BINS, _CHUNK_COLUMNS, _CHUNK_ROWS = 250, 32, 8  # 256 kB; the cache of HDF5 has 1 MB
 _LASER_NOTE = (
-    "The projector lights its whole field at once, and tal knows only points: laser_grid_xyz is the one "
-    "point on the projector's optical axis. Reconstructions that take it for the only lit point see an "
-    "illumination that is spread over the wall, so they are blurred and displaced."
+    "The projector lights its whole field at once, but tal knows only laser points: laser_grid_xyz is the "
+    "one point on the projector's optical axis. A reconstruction that assumes this is the only lit point is "
+    "blurred and displaced, because light comes from all of the lit wall."
 )
 
 
 def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
-    """Write a scene's ``transient.exr`` as a capture that ``tal.io.read_capture`` reads.
+    """Write the ``transient.exr`` of a scene as a capture that ``tal.io.read_capture`` reads.
 
     ============================  ==========================================================================
     ``H``                         (T, W, H) float32, axes T_Sx_Sy: time, image column from the left, image
                                   row from the top; gzip
     ``sensor_xyz, laser_xyz``     (3,) camera and projector
-    ``sensor_grid_xyz``           (W, H, 3) where the ray of a pixel's centre meets the relay wall's plane
-    ``laser_grid_xyz``            (1, 1, 3) where the projector's optical axis does
-    ``*_grid_normals``            the relay wall's normal at each of these points, towards camera and object
+    ``sensor_grid_xyz``           (W, H, 3) points where the rays of pixel centres meet the plane of the
+                                  relay wall
+    ``laser_grid_xyz``            (1, 1, 3) point where the optical axis of the projector meets it
+    ``*_grid_normals``            normal of the relay wall at these points, towards camera and object
     ``delta_t``                   bin width, optical path length
-    ``t_start``                   where the first bin *begins* (tal takes the integer part of
-                                  (length - t_start) / delta_t as the bin)
-    ``scene_info``                YAML: units, provenance, and how far the capture is not what tal expects
+    ``t_start``                   start of the first bin (tal computes the bin as the integer part of
+                                  (length - t_start) / delta_t)
+    ``scene_info``                YAML: units, provenance, and the difference from a capture with laser points
     ============================  ==========================================================================
 
-    All lengths are metres in the scene's world axes. Lengths count from projector to camera
-    (``t_accounts_first_and_last_bounces``), and the wall's direct return is in ``H`` like everything else.
+    Coordinates and lengths are metres, in the world axes of the scene. Path lengths are from projector to
+    camera (``t_accounts_first_and_last_bounces``). ``H`` includes the direct return of the wall.
 
-    tal knows laser *points*, and our projector lights its whole field at once. One point stands for it, on
-    its optical axis: the hidden object's light really comes from all of the lit wall, so reconstructions,
-    which take the point for the only source, are blurred and displaced.
+    tal knows only laser points, but our projector lights its whole field at once. The capture has one point,
+    on the optical axis of the projector. Reconstructions assume that it is the only source. They are blurred
+    and displaced, because light comes from all of the lit wall.
 
     Raises
     ------
-    ExportError : no transient, a camera or projector that looks past the relay wall, or a file that cannot
-        be written.
+    ExportError : the scene has no transient, the camera or the projector looks past the relay wall, or the
+        file cannot be written.
     """
     import h5py
 
@@ -83,7 +84,7 @@ def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
 
 
 def _write_bins(file: h5py.File, reader: TransientReader) -> None:
-    """Write ``H``, in blocks of whole chunks of image rows, so that each chunk is compressed once."""
+    """Write ``H`` in blocks of image rows that are whole chunks, so that each chunk is compressed once."""
     axis = reader.layout
     shape = (axis.bin_count, axis.width, axis.height)
     chunks = tuple(map(min, shape, (_CHUNK_BINS, _CHUNK_COLUMNS, _CHUNK_ROWS)))
@@ -98,7 +99,7 @@ def _write_bins(file: h5py.File, reader: TransientReader) -> None:
 
 
 def _geometry(scene: Scene, layout: TransientLayout) -> dict[str, NDArray[np.float32]]:
-    """Places and normals, (3,) and (X, Y, 3) float32."""
+    """Positions and normals by name of the field, (3,) or (X, Y, 3) float32, metres."""
     camera, emitter, wall = scene.camera, scene.emitter, scene.relay_wall
     rays = pixel_rays(layout.width, layout.height, camera.horizontal_fov_deg) @ camera_axes(camera)
     axis = -rotation_matrix(emitter.rotation_deg)[:, 2]  # Blender looks along its own -z
@@ -119,13 +120,13 @@ def _geometry(scene: Scene, layout: TransientLayout) -> dict[str, NDArray[np.flo
 def _on_wall(
     scene: Scene, origin_m: tuple[float, float, float], rays: NDArray[np.float64], who: str
 ) -> NDArray[np.float64]:
-    """Where (..., 3) rays from `origin_m` meet the plane of the relay wall."""
+    """(..., 3) points where rays from `origin_m` meet the plane of the relay wall, metres."""
     origin, normal = np.array(origin_m), wall_normal(scene.relay_wall)
     with np.errstate(divide="ignore", invalid="ignore"):
         length_m = ((np.array(scene.relay_wall.location_m) - origin) @ normal) / (rays @ normal)
     if not (np.isfinite(length_m) & (length_m > 0)).all():
         raise ExportError(
-            f"scene {scene.id}: {who} looks past the plane of the relay wall, and a capture for tal needs "
+            f"scene {scene.id}: {who} looks past the plane of the relay wall, but a capture for tal needs "
             "a point on the wall for every pixel"
         )
     points: NDArray[np.float64] = origin + rays * length_m[..., None]

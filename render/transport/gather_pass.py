@@ -1,4 +1,4 @@
-"""Pixel integrals of the many-light method: the direct return, and the lights seen by way of the wall."""
+"""Pixel integrals of the many-light method: the direct return, and the light of all lights over the wall."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from render.transport.light_pass import Lights
 if TYPE_CHECKING:
     import mitsuba as mi
 
-_LANES = 2**20  # pixel samples in flight
+_LANES = 2**20  # most pixel samples in one kernel launch
 
 
 @dataclass(frozen=True)
 class PixelRule:
-    """A quadrature rule in the pixel: the same one-dimensional nodes in x and y.
+    """A quadrature rule for the average over a pixel, with the same one-dimensional nodes in x and y.
 
     Attributes
     ----------
     nodes : (n,) positions in (0, 1).
-    weights : (n,) sum 1.
+    weights : (n,) their sum is 1.
     """
 
     nodes: NDArray[np.float64]
@@ -33,41 +33,41 @@ class PixelRule:
 
     @property
     def count(self) -> int:
-        """Nodes in a pixel."""
+        """Number of nodes in a pixel."""
         return len(self.nodes) ** 2
 
     @property
     def pixel_nodes(self) -> NDArray[np.float64]:
-        """(n², 2) x and y of a pixel's nodes, y outermost."""
+        """(n², 2) x and y of the nodes of a pixel; y varies slowest."""
         y, x = np.meshgrid(self.nodes, self.nodes, indexing="ij")
         return np.stack([x.ravel(), y.ravel()], axis=-1)
 
     @property
     def pixel_weights(self) -> NDArray[np.float64]:
-        """(n²,) weights of a pixel's nodes, y outermost."""
+        """(n²,) weights of the nodes of a pixel, in the order of `pixel_nodes`."""
         return np.outer(self.weights, self.weights).ravel()
 
 
 def gauss_rule(order: int) -> PixelRule:
-    """Gauss-Legendre nodes: exact for polynomials of degree 2 order - 1, for what is smooth in a pixel."""
+    """Gauss-Legendre rule for smooth integrands: exact for polynomials of degree 2 order - 1."""
     nodes, weights = np.polynomial.legendre.leggauss(order)
-    return PixelRule((nodes + 1) / 2, weights / 2)  # from [-1, 1] to [0, 1], not a path length
+    return PixelRule((nodes + 1) / 2, weights / 2)  # from [-1, 1] to [0, 1]
 
 
 def midpoint_rule(count: int) -> PixelRule:
-    """Equal cells: for what has edges, or becomes a histogram."""
+    """Midpoints of equal cells, for integrands with edges and for histograms."""
     return PixelRule((np.arange(count) + 0.5) / count, np.full(count, 1 / count))
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Pixels of an image of width x height; a coarse one serves as a pilot of a fine one."""
+    """The pixels of an image of width x height."""
 
     width: int
     height: int
 
     def blocks(self, rule: PixelRule, limit: int = _LANES) -> Iterator[tuple[int, int]]:
-        """Ranges of rows whose pixel samples fit the memory budget."""
+        """Ranges of rows (first row, row after the last) with at most `limit` pixel samples."""
         step = max(1, limit // (self.width * rule.count))
         for start in range(0, self.height, step):
             yield start, min(start + step, self.height)
@@ -75,7 +75,7 @@ class Grid:
     def samples(
         self, rows: tuple[int, int], rule: PixelRule, node: int | None = None
     ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.Float]:
-        """Film x, y, pixel and weight of all nodes of some rows, or of one node of each pixel."""
+        """Film x, y, pixel index and weight of all nodes in some rows, or of one node per pixel."""
         from render.transport import kernels
 
         chosen = slice(None) if node is None else slice(node, node + 1)
@@ -86,7 +86,7 @@ class Grid:
 def gather_direct(
     scene: mi.Scene, grid: Grid, frequencies_hz: tuple[float, ...], rule: PixelRule, seed: int
 ) -> NDArray[np.complex128]:
-    """(H, W, F) phasors of the one-bounce return, averaged over pixels."""
+    """(H, W, F) phasors of the one-bounce return, mean radiance of each pixel in W m^-2 sr^-1."""
     turns = phase_per_metre(frequencies_hz)
     blocks = []
     for rows in grid.blocks(rule):
@@ -99,7 +99,7 @@ def gather_direct(
 def gather_lights(
     scene: mi.Scene, grid: Grid, frequencies_hz: tuple[float, ...], rule: PixelRule, lights: Lights
 ) -> NDArray[np.complex128]:
-    """(H, W, F) phasors of the hidden signal, averaged over pixels."""
+    """(H, W, F) phasors of the hidden signal, mean radiance of each pixel in W m^-2 sr^-1."""
     frequency_count = len(frequencies_hz)
     if not len(lights):
         return np.zeros((grid.height, grid.width, frequency_count), complex)
@@ -134,9 +134,14 @@ def splat_rows(
     hidden_rule: PixelRule,
     seed: int,
 ) -> NDArray[np.float32]:
-    """(rows, W, T) radiance per bin, direct and hidden together, tent-splatted.
+    """(rows, W, T) radiance per bin, sum of direct and hidden part, split linearly between two bins.
 
-    `packets` is `lights.packets(...)`: (N, Q) energy and OPL.
+    Parameters
+    ----------
+    rows : first row, and the row after the last.
+    packets : energy and OPL (N, Q) of `Lights.packets`.
+    direct_rule, hidden_rule : nodes in the pixel for each part.
+    seed : of the random numbers that emitters with an extent need.
     """
     import drjit as dr
     import mitsuba as mi
@@ -153,7 +158,7 @@ def splat_rows(
     if len(lights):
         energy, light_opl_m = packets
         for node, share in enumerate(hidden_rule.pixel_weights):
-            # One node of every pixel at a time: then no two lanes write to the same bin.
+            # One node of every pixel in each launch, so that no two lanes write to the same bin.
             x, y, _, _ = grid.samples(rows, hidden_rule, node)
             kernels.splat_lights(
                 scene,
@@ -174,14 +179,14 @@ def splat_rows(
 def _direct_lanes(
     scene: mi.Scene, grid: Grid, rows: tuple[int, int], rule: PixelRule, seed: int
 ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.Float]:
-    """Radiance, OPL, pixel and weight of every sample of the direct return."""
+    """Radiance, OPL, pixel index and weight of every sample of the direct return."""
     import drjit as dr
     import mitsuba as mi
 
     from render.transport import kernels
 
     x, y, pixel, weight = grid.samples(rows, rule)
-    # Only emitters with an extent look at the random sample; a projector is a point.
+    # Only emitters with an extent use the random sample; a projector is a point.
     stream = int(np.random.SeedSequence([seed, rows[0]]).generate_state(1)[0])
     random = mi.PCG32(dr.width(x), dr.opaque(mi.UInt64, stream))
     sample = mi.Point2f(random.next_float32(), random.next_float32())
@@ -202,6 +207,6 @@ def _direct(
 def _pixel_mean(
     z: NDArray[np.complex128], grid: Grid, rows: tuple[int, int], rule: PixelRule
 ) -> NDArray[np.complex128]:
-    """(rows, W, F) weighted mean over the nodes of each pixel of (lanes, F) values."""
+    """(rows, W, F) weighted mean over the nodes of each pixel, from (lanes, F) values."""
     shaped = z.reshape(rows[1] - rows[0], grid.width, rule.count, -1)
     return np.einsum("hwnf,n->hwf", shaped, rule.pixel_weights)

@@ -1,4 +1,4 @@
-"""Points on the hidden surface: spread evenly, and more of them where the wall's light falls."""
+"""Sample points on the hidden surface: even, or denser where light from the wall arrives."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 HIDDEN_PREFIX = "hidden_object"
-_CURVE_BITS = 10  # of each coordinate along the space-filling curve
+_CURVE_BITS = 10  # of each coordinate of the space-filling curve
 
 
 class HiddenSurfaceError(NightError):
-    """A hidden object that cannot be sampled."""
+    """A hidden object has a mesh or a material that cannot be sampled."""
 
 
 @dataclass(frozen=True)
 class HiddenSurface:
-    """All triangles of the hidden objects, one object after the other, along a space-filling curve.
+    """All triangles of the hidden objects, object by object, in the order of a space-filling curve.
 
-    Positions along that order, in units of area, are one coordinate of a low-discrepancy sample: points that
-    are stratified along the curve are stratified in space, whatever order the mesh file has.
+    The position in this order, measured in area, is one coordinate of a low-discrepancy sample. Points that
+    are even along the curve are even in space, for any order of the triangles in the mesh file.
 
     Attributes
     ----------
     corners : (T, 3, 3) triangle corners, metres.
-    normals : (T, 3) unit normals, by winding.
+    normals : (T, 3) unit normals; the winding gives their direction.
     areas : (T,) square metres.
-    reflectance : (T,) diffuse reflectance of the object a triangle belongs to.
+    reflectance : (T,) diffuse reflectance of the material.
     """
 
     corners: NDArray[np.float64]
@@ -45,15 +45,15 @@ class HiddenSurface:
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points with the share of the surface each stands for.
+    """M points, each with the area of the surface that it represents.
 
     Attributes
     ----------
-    position, normal : (M, 3) float32, metres and unit.
-    area : (M,) square metres: the sum over points is an estimate of the integral over the surface.
-    reflectance : (M,) of the surface there.
-    shift : (M, 4) in [0, 1): turns the wall points, so that every point sees others (Cranley and Patterson,
-        "Randomization of number theoretic methods for multiple integration", 1976).
+    position, normal : (M, 3) float32, metres and unit vectors.
+    area : (M,) square metres; a sum over points weighted with it estimates the integral over the surface.
+    reflectance : (M,) diffuse reflectance at the point.
+    shift : (M, 4) in [0, 1): shifts the wall points, so that every surface point has different ones (Cranley
+        and Patterson, "Randomization of number theoretic methods for multiple integration", 1976).
     """
 
     position: NDArray[np.float32]
@@ -69,14 +69,14 @@ def hidden_shapes(scene: mi.Scene) -> list[mi.Shape]:
 
 
 def read_hidden_surface(scene: mi.Scene) -> HiddenSurface | None:
-    """Triangles of all hidden objects; None when there is no hidden object.
+    """Triangles of all hidden objects; None if there is no hidden object.
 
-    Triangles without area are left out: no light can fall on them.
+    Triangles without area are left out, because they receive no light.
 
     Raises
     ------
-    HiddenSurfaceError : a hidden object that is no mesh, has no area or corners that are not finite, or
-        whose material is not diffuse.
+    HiddenSurfaceError : a hidden object is not a mesh, has no area, has corners that are not finite, or has a
+        material that is not two-sided diffuse.
     """
     parts = [_triangles(shape) for shape in hidden_shapes(scene)]
     if not parts:
@@ -84,14 +84,14 @@ def read_hidden_surface(scene: mi.Scene) -> HiddenSurface | None:
     corners = np.concatenate([part[0] for part in parts])
     reflectance = np.concatenate([part[1] for part in parts])
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice_area = np.linalg.norm(cross, axis=1)
-    keep = np.flatnonzero(twice_area > 0)
+    parallelogram = np.linalg.norm(cross, axis=1)  # twice the area of the triangle
+    keep = np.flatnonzero(parallelogram > 0)
     part = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
     order = keep[np.lexsort((_curve_position(corners[keep].mean(axis=1)), part[keep]))]
     return HiddenSurface(
         corners[order],
-        cross[order] / twice_area[order, None],
-        twice_area[order] / 2,  # half a parallelogram, not a path length
+        cross[order] / parallelogram[order, None],
+        parallelogram[order] / 2,
         reflectance[order],
     )
 
@@ -99,13 +99,13 @@ def read_hidden_surface(scene: mi.Scene) -> HiddenSurface | None:
 def sample_surface(
     surface: HiddenSurface, count: int, seed: int, density: NDArray[np.float64]
 ) -> SurfacePoints:
-    """Scrambled Sobol points on the surface, in proportion to a density.
+    """Scrambled Sobol points on the surface with a given density.
 
     Parameters
     ----------
-    count : how many; powers of two are spread best.
+    count : number of points; powers of two give the most even set.
     seed : of the scrambling.
-    density : (S,) relative density of points in S stretches of equal area along the curve, above 0.
+    density : (S,) relative density of points in S stretches of equal area along the curve, all above 0.
     """
     sample = sobol_points(6, count, seed)
     total = surface.areas.sum()
@@ -118,16 +118,17 @@ def sample_surface(
 
 
 def spread_evenly(surface: HiddenSurface, count: int) -> SurfacePoints:
-    """One point in the middle of each of `count` stretches of equal area along the curve."""
+    """Points on the surface in the middle of `count` stretches of equal area along the curve."""
     total = surface.areas.sum()
     along = (np.arange(count) + 0.5) / count * total
-    rolling = np.arange(count)[:, None] * np.sqrt([2, 3, 5, 7, 11]) % 1  # irrational: neighbours lie apart
+    # Multiples of irrational numbers modulo 1 are spread evenly, and neighbours are far apart.
+    rolling = np.arange(count)[:, None] * np.sqrt([2, 3, 5, 7, 11]) % 1
     return _place(surface, along, rolling[:, 0], np.full(count, total / count), rolling[:, 1:])
 
 
 def sobol_points(dimensions: int, count: int, seed: int) -> NDArray[np.float64]:
-    """(count, dimensions) first points of a scrambled Sobol sequence, in [0, 1)."""
-    powers = max(count - 1, 0).bit_length()  # the sequence is made for powers of two, and used from its start
+    """(count, dimensions) first points of a scrambled Sobol sequence in [0, 1)."""
+    powers = max(count - 1, 0).bit_length()  # Sobol points are even from the start up to a power of two
     return qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random_base2(powers)[:count]
 
 
@@ -138,10 +139,10 @@ def _place(
     area: NDArray[np.float64],
     shift: NDArray[np.float64],
 ) -> SurfacePoints:
-    """Points at positions `along` the curve (in area) and `across` their triangle (0 to 1)."""
+    """Points at positions `along` the curve (square metres) and `across` their triangle (0 to 1)."""
     ends = np.cumsum(surface.areas)
     face = np.minimum(np.searchsorted(ends, along, side="right"), len(ends) - 1)
-    # What is left of the first coordinate within its triangle is uniform again.
+    # The rest of the first coordinate is uniform within the triangle, so it is used as a second one there.
     within = np.clip((along - (ends[face] - surface.areas[face])) / surface.areas[face], 0, 1)
     root = np.sqrt(within)
     u, v = 1 - root, across * root
@@ -181,7 +182,12 @@ def _triangles(shape: mi.Shape) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def _diffuse_reflectance(shape: mi.Shape) -> float:
-    """Reflectance of a two-sided, uniform diffuse material, read by evaluating it."""
+    """Reflectance of a two-sided diffuse material, from three evaluations of its BSDF.
+
+    Raises
+    ------
+    HiddenSurfaceError : the three values differ, so the material is not two-sided diffuse.
+    """
     import mitsuba as mi
 
     bsdf = shape.bsdf()
@@ -197,14 +203,14 @@ def _diffuse_reflectance(shape: mi.Shape) -> float:
         values.append(float(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(*outgoing)).x[0]) * np.pi / cosine)
     if max(values) - min(values) > 1e-4 * max(values):
         raise HiddenSurfaceError(
-            f"the material of hidden object {shape.id()} is not two-sided diffuse, and many-light can do no "
-            "other: render with --method path"
+            f"the material of hidden object {shape.id()} is not two-sided diffuse, which many-light needs: "
+            "render with --method path"
         )
     return values[0]
 
 
 def _curve_position(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Position of points along a three-dimensional Morton curve through their bounding box."""
+    """Position of points along a three-dimensional Morton curve in their bounding box."""
     low, high = points.min(axis=0), points.max(axis=0)
     span = np.maximum(high - low, 1e-12)
     cell = ((points - low) / span * (2**_CURVE_BITS - 1)).astype(np.int64)  # (T, 3)

@@ -1,7 +1,7 @@
-"""Arrivals by interreflection: light that met the hidden objects more than once.
+"""Arrivals by interreflection: light that met hidden objects more than once.
 
-With three bounces light goes emitter - wall - point - wall - camera. Each bounce more lengthens the part
-before the point: over another place of the hidden object, or over the object and the wall again.
+With three bounces, light goes from the emitter over the wall to a surface point, and from there over the wall
+to the camera. Each further bounce is a vertex before the surface point, on a hidden object or on the wall.
 """
 
 from __future__ import annotations
@@ -22,21 +22,30 @@ _RAYS = 64  # from each side of each point
 def reflected_arrivals(
     scene: mi.Scene, points: SurfacePoints, extra_bounces: int, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Irradiance at the points by paths with 1 to `extra_bounces` vertices more, (M, K) with OPL (M, K).
+    """Irradiance at surface points by paths with 1 to `extra_bounces` further vertices, and their OPL.
 
-    From each point, cosine-distributed rays are traced backwards; each hidden vertex they find adds what one
-    random point of the lit wall sends over it, and the walk goes on by the vertex's own BSDF. The estimate is
-    unbiased: E = π / R sum of the radiance found. Positive on the side of the normal, else negative.
+    From each side of a point, R = 64 cosine-distributed rays are traced backwards. Each vertex on a hidden
+    object adds the light that one random point of the lit wall sends over it. The ray continues with a
+    direction sampled from the BSDF of the vertex. The estimate is unbiased: E = π / R times the sum of the
+    radiance found. Light that meets the wall twice in a row is left out; for a plane wall there is none.
 
-    Vertices on the wall only pass the walk on: light that meets the wall twice in a row is left out, which is
-    exact for a plane wall.
+    Parameters
+    ----------
+    points : M surface points.
+    extra_bounces : bounces above three, at least 1.
+    seed : of the random directions.
+
+    Returns
+    -------
+    Irradiance (M, K), positive on the side of the normal and negative on the other; OPL (M, K), metres, from
+    the emitter to the point. K is 128 rays x `extra_bounces` x emitters.
     """
     import drjit as dr
     import mitsuba as mi
 
     from render.transport.kernels import on_shapes, upload_points
 
-    rays = 2 * _RAYS  # both sides of a point, not a path length
+    rays = 2 * _RAYS  # even numbers in front of the surface, odd numbers behind it
     count = dr.opaque(mi.UInt32, rays)
     lane = dr.arange(mi.UInt32, len(points.position) * rays)
     point = lane // count
@@ -74,7 +83,7 @@ def reflected_arrivals(
 def _over_the_wall(
     scene: mi.Scene, emitter: mi.Emitter, si: mi.SurfaceInteraction3f, random: mi.PCG32, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """Radiance that leaves `si` towards `si.wi` from one random point of the lit wall, and its OPL so far."""
+    """Radiance along `si.wi` that `si` gets from one random point of the lit wall, and its OPL up to `si`."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,7 +1,7 @@
-"""DrJit kernels of the many-light method. Imported late: they need Mitsuba and DrJit.
+"""DrJit kernels of the many-light method. Import this module late, after a Mitsuba variant is set.
 
-Numbers that change from scene to scene come in as arrays, never as Python numbers: a literal in a kernel
-recompiles it.
+Numbers that change from scene to scene are passed as arrays or through `dr.opaque`: a Python number becomes a
+literal in the kernel, which is then compiled again (docs/design.md, DrJit).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-_ALIGNMENT = 64  # bytes; what DrJit's own arrays have
+_ALIGNMENT = 64  # bytes, as in the arrays that DrJit allocates
 
 
 def upload(values: NDArray[np.floating]) -> mi.Float:
     """Numpy values as a DrJit array, from aligned memory.
 
-    On the CPU DrJit borrows numpy's memory, and writes its alignment into the kernel: the same kernel would
-    be compiled again whenever numpy happens to allocate elsewhere.
+    On the CPU, DrJit uses the memory of the numpy array, and the alignment is part of the kernel: with
+    another alignment, the kernel would be compiled again.
     """
     flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
     room = np.empty(flat.nbytes + _ALIGNMENT, np.uint8)
@@ -38,14 +38,14 @@ def upload_points(values: NDArray[np.floating]) -> mi.Point3f:
 def pixel_samples(
     size: tuple[int, int], rows: tuple[int, int], nodes: NDArray[np.floating], weights: NDArray[np.floating]
 ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.Float]:
-    """Film x and y in [0, 1], pixel and weight of every sample: pixel by pixel, then node by node.
+    """Film x and y in [0, 1], pixel index and weight of all samples, ordered by pixel and then by node.
 
     Parameters
     ----------
     size : image width and height, pixels.
-    rows : first row and the one after the last.
-    nodes : (n, 2) x and y in a pixel, from 0 to 1.
-    weights : (n,) of the nodes.
+    rows : first row, and the row after the last.
+    nodes : (n, 2) x and y in the pixel, from 0 to 1.
+    weights : (n,) weights of the nodes.
     """
     width, height = size
     count = dr.opaque(mi.UInt32, len(nodes))
@@ -60,10 +60,10 @@ def pixel_samples(
 
 
 def on_shapes(si: mi.SurfaceInteraction3f | mi.PreliminaryIntersection3f, shapes: list[mi.Shape]) -> mi.Bool:
-    """Whether a ray met one of `shapes`.
+    """Whether each ray met one of `shapes`.
 
-    Compared by opaque registry numbers: `si.shape == mi.ShapePtr(shape)` would write the number into the
-    kernel, and it differs from scene to scene.
+    The comparison uses opaque registry numbers. `si.shape == mi.ShapePtr(shape)` would make the number, which
+    differs from scene to scene, a literal in the kernel.
     """
     met = dr.reinterpret_array(mi.UInt32, si.shape)
     found = dr.zeros(mi.Bool, dr.width(met))
@@ -74,7 +74,7 @@ def on_shapes(si: mi.SurfaceInteraction3f | mi.PreliminaryIntersection3f, shapes
 
 
 def camera_hits(scene: mi.Scene, x: mi.Float, y: mi.Float) -> mi.SurfaceInteraction3f:
-    """First surfaces behind film positions (x, y in [0, 1]); `t` counts from the pinhole."""
+    """First surfaces on the rays through film positions (x, y in [0, 1]); `t` starts at the pinhole."""
     sensor = scene.sensors()[0]
     ray, _ = sensor.sample_ray(0.0, 0.0, mi.Point2f(x, y), mi.Point2f(0.5))
     ray = mi.Ray3f(ray)
@@ -85,7 +85,7 @@ def camera_hits(scene: mi.Scene, x: mi.Float, y: mi.Float) -> mi.SurfaceInteract
 def direct_return(
     scene: mi.Scene, si: mi.SurfaceInteraction3f, sample: mi.Point2f
 ) -> tuple[mi.Float, mi.Float]:
-    """Radiance of the one-bounce return and its optical path length."""
+    """Radiance (W m^-2 sr^-1) of the one-bounce return, and its optical path length (metres)."""
     emitted, weight = scene.sample_emitter_direction(si, sample, True, si.is_valid())
     lit = si.is_valid() & (emitted.pdf != 0)
     reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(emitted.d), lit)
@@ -100,7 +100,7 @@ def light_transport(
     normal: mi.Point3f,
     light: mi.UInt32,
 ) -> tuple[mi.Float, mi.Float]:
-    """Radiance towards the camera per intensity of a light, f cos a cos b / d² V, and the distance d."""
+    """Radiance towards the camera per intensity of a light, f cos a cos b / d² V, and its distance d."""
     there = dr.gather(mi.Point3f, position, light)
     gap = there - si.p
     squared = dr.squared_norm(gap)
@@ -126,9 +126,9 @@ def gather_phasors(
     phase_per_metre: list[mi.Float],
     count: mi.UInt32,
 ) -> tuple[list[mi.Float], list[mi.Float]]:
-    """Sum over all lights of transport x complex intensity x exp(j k (d + t)), per frequency.
+    """Real and imaginary parts of sum over lights of transport x intensity x exp(j k (d + t)), by frequency.
 
-    `real` and `imaginary` hold the lights' intensities, frequencies contiguous.
+    `real` and `imaginary` are the complex intensities of the lights, (lights, frequencies) in C order.
     """
     frequency_count = len(phase_per_metre)
     total_re = [mi.Float(0) for _ in range(frequency_count)]
@@ -161,7 +161,10 @@ def splat_lights(
     axis: TimeAxis,
     bins: mi.Float,
 ) -> None:
-    """Splat every packet of every light into the bins of pixel `lane`."""
+    """Add every packet of every light to the bins of the pixels; lane n is pixel n.
+
+    `energy` and `opl` are (lights, packets) in C order.
+    """
     bsdf = si.bsdf()
     first = dr.arange(mi.UInt32, dr.width(si.t)) * axis.count
     light = mi.UInt32(0)
@@ -185,7 +188,7 @@ def splat_lights(
 
 
 class TimeAxis:
-    """A time axis as opaque DrJit numbers: bin count, 1 / bin width, start."""
+    """A time axis as opaque DrJit numbers: bin count, 1 / bin width, start of the first bin."""
 
     DRJIT_STRUCT: ClassVar = {"count": mi.UInt32, "per_metre": mi.Float, "start": mi.Float}
 
@@ -205,11 +208,11 @@ def splat_tent(
 ) -> None:
     """Add `energy` at `opl` to the two nearest bin centres of the pixel whose bins begin at `first`.
 
-    What falls outside the time axis is lost. NaN, which DrJit's scatter would drop in silence, becomes
-    infinity and stops the render.
+    Energy outside the time axis is lost. DrJit's scatter drops NaN without a message, so NaN is replaced by
+    infinity, which stops the render.
     """
     energy = dr.select(dr.isnan(energy), dr.inf, energy)
-    centre = (opl - axis.start) * axis.per_metre - 0.5  # in bin centres
+    centre = (opl - axis.start) * axis.per_metre - 0.5  # bin index; integers are bin centres
     lower = dr.floor(centre)
     upper_share = centre - lower
     limit = mi.Int32(axis.count)

@@ -1,7 +1,7 @@
-"""The light pass: what falls on points of the hidden surface, and when.
+"""The light pass: the light that arrives at points of the hidden surface, with its optical path lengths.
 
-Every point collects *arrivals*: (irradiance, optical path length) pairs of light that came from the emitters
-over the wall. They hold for any modulation frequency and any time axis.
+Every point has *arrivals*, pairs of irradiance and optical path length of light that comes from the emitters
+over the wall. They are valid for any modulation frequency and any time axis.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from render.transport.hidden_surface import (
 if TYPE_CHECKING:
     import mitsuba as mi
 
-_STRETCHES = 512  # of the surface, for the pilot that finds where light falls
-_PILOT_POINTS = 8  # in a stretch
+_STRETCHES = 512  # of the surface, for the pilot that finds where light arrives
+_PILOT_POINTS = 8  # in each stretch
 _PILOT_WALL_POINTS = 32
-_FLOOR = 0.25  # share of points that are spread evenly whatever the pilot says; no point weighs more than 4
+_FLOOR = 0.25  # share of the points that is spread evenly; so no point has a weight above 4
 
 
 @dataclass(frozen=True)
 class Lights:
-    """Virtual lights on the hidden surface: one-sided Lambertian emitters with arrivals.
+    """N virtual lights on the hidden surface: one-sided Lambertian emitters, each with K arrivals.
 
     Attributes
     ----------
-    position, normal : (N, 3) float32; light leaves on the side of the normal.
-    energy : (N, K) radiant intensity along the normal (W/sr) of each arrival.
-    opl_m : (N, K) optical path length of each arrival, from the emitter to the light.
+    position, normal : (N, 3) float32, metres and unit vectors; light leaves on the side of the normal.
+    energy : (N, K) radiant intensity along the normal of each arrival, W/sr.
+    opl_m : (N, K) optical path length of each arrival from the emitter to the light, metres.
     """
 
     position: NDArray[np.float32]
@@ -52,15 +52,15 @@ class Lights:
         return len(self.position)
 
     def phasors(self, frequencies_hz: tuple[float, ...]) -> NDArray[np.complex128]:
-        """(N, F) complex intensity: sum of energy exp(j 2π f L / c) over arrivals."""
+        """(N, F) complex intensity, W/sr: sum over arrivals of energy exp(j 2π f L / c)."""
         turns = phase_per_metre(frequencies_hz)
         return np.stack([(self.energy * np.exp(1j * k * self.opl_m)).sum(axis=1) for k in turns], axis=-1)
 
     def packets(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Arrivals merged into `count` packets of equal energy a light: (N, count) energy and OPL.
+        """Arrivals merged into `count` packets of equal energy for each light: (N, count) energy and OPL.
 
-        Each packet lies at the mean OPL of its energy, so a light's energy and mean path are kept exactly
-        and a phasor loses (k w)^2 / 24 of its amplitude, w being the stretch of OPL a packet covers.
+        The OPL of a packet is the mean OPL of its energy. So the energy and the mean OPL of a light are
+        exact, and a phasor loses (k w)^2 / 24 of its amplitude, where w is the OPL interval of a packet.
         """
         order = np.argsort(self.opl_m, axis=1)
         energy = np.take_along_axis(self.energy, order, axis=1)
@@ -77,19 +77,20 @@ class Lights:
 
 
 def light_density(scene: mi.Scene, surface: HiddenSurface, seed: int) -> NDArray[np.float64]:
-    """(S,) relative density of points to take in S stretches of the surface: where the wall's light falls.
+    """Where to place surface points: (S,) relative density of points in S stretches of the surface.
 
-    A pilot with few wall points measures the light; a quarter of the points is spread evenly regardless.
+    Three quarters of the density are proportional to the light from the wall, which a pilot with few wall
+    points measures. One quarter is even.
 
     Raises
     ------
-    HiddenSurfaceError : no light falls anywhere.
+    HiddenSurfaceError : no light from the wall reaches the hidden objects.
     """
     pilot = spread_evenly(surface, _STRETCHES * _PILOT_POINTS)
     lit = np.abs(_arrivals(scene, pilot, _PILOT_WALL_POINTS, seed)[0]).sum(axis=1)
     if not lit.any():
         raise HiddenSurfaceError(
-            "no hidden object can be seen from the lit wall: move it, or leave it out of the scene"
+            "no hidden object can be seen from the lit wall: move it, or remove it from the scene"
         )
     density = (lit * pilot.reflectance).reshape(_STRETCHES, _PILOT_POINTS).mean(axis=1)
     mean = density.mean()
@@ -107,8 +108,15 @@ def make_lights(
 ) -> Lights:
     """Lights at `count` surface points, each with arrivals from `wall_points` points of the lit wall.
 
-    Points are placed by `density` (`light_density`). A point that is lit on both sides becomes two lights,
-    and one that is not lit none. Above three bounces, arrivals by interreflection are added.
+    A point that is lit on both sides gives two lights, an unlit point none.
+
+    Parameters
+    ----------
+    density : (S,) where to place the points (`light_density`).
+    count : number of surface points.
+    wall_points : number of wall points for each surface point and emitter.
+    seed : of both samples.
+    max_bounces : above 3, arrivals by interreflection are added.
     """
     streams = np.random.SeedSequence([seed, 0]).generate_state(3)
     points = sample_surface(surface, count, int(streams[0]), density)
@@ -124,10 +132,10 @@ def make_lights(
 def _arrivals(
     scene: mi.Scene, points: SurfacePoints, wall_points: int, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the wall sends to each point: (M, K) irradiance and OPL, K wall points for each emitter.
+    """Irradiance and OPL (M, K) of the light that each point gets from the wall; K: wall points x emitters.
 
-    E = Φ f cos a cos b / d² for a wall point that receives the flux Φ, with f cos a the wall's BSDF times the
-    cosine there. Irradiance is positive on the side of the point's normal and negative on the other.
+    A wall point that receives the flux Φ sends E = Φ f cos a cos b / d², where f cos a is the BSDF of the
+    wall times the cosine there. E is positive on the side of the normal and negative on the other side.
     """
     parts = [
         _arrivals_of(scene, emitter, points, wall_points, seed + number)
@@ -144,7 +152,6 @@ def _arrivals_of(
 
     from render.transport.kernels import upload, upload_points
 
-    # Opaque: numbers that were literals in the kernel would recompile it when they change.
     count = dr.opaque(mi.UInt32, wall_points)
     lane = dr.arange(mi.UInt32, len(points.position) * wall_points)
     point, sample = lane // count, lane % count
@@ -174,9 +181,14 @@ def _arrivals_of(
 def emitted_rays(
     emitter: mi.Emitter, count: int, seed: int, sample: mi.UInt32, shift: Sequence[mi.Float] = ()
 ) -> tuple[mi.Ray3f, mi.Spectrum]:
-    """Rays number `sample` of `count` scrambled Sobol rays from an emitter, with the flux each carries.
+    """Rays from an emitter along scrambled Sobol points, and the flux of each ray, W.
 
-    `shift`, four numbers in [0, 1) a lane, moves the set of rays round the unit cube.
+    Parameters
+    ----------
+    count : size of the Sobol set.
+    seed : of the scrambling.
+    sample : which point of the set each lane takes.
+    shift : four numbers in [0, 1) for each lane, added to the point modulo 1.
     """
     import drjit as dr
     import mitsuba as mi
@@ -191,9 +203,9 @@ def emitted_rays(
 
 
 def _two_sided(points: SurfacePoints, irradiance: NDArray[np.float64], opl_m: NDArray[np.float64]) -> Lights:
-    """Front arrivals are positive, back arrivals negative: split them into lights of one side each."""
+    """Lights of one side each, from arrivals that are positive in front and negative behind the surface."""
     scale = (points.area * points.reflectance / np.pi)[:, None]  # Lambert: intensity = area ρ E / π
-    irradiance = np.where(scale > 0, irradiance, 0.0)  # a black surface is no light
+    irradiance = np.where(scale > 0, irradiance, 0.0)  # a black surface reflects no light
     sides = [np.clip(irradiance, 0, None), np.clip(-irradiance, 0, None)]
     kept = [side.sum(axis=1) > 0 for side in sides]
     return Lights(
@@ -205,6 +217,6 @@ def _two_sided(points: SurfacePoints, irradiance: NDArray[np.float64], opl_m: ND
 
 
 def no_lights() -> Lights:
-    """The lights of a scene without a hidden object."""
+    """The empty set of lights, for a scene without a hidden object."""
     nothing = np.zeros((0, 3), np.float32)
     return Lights(nothing, nothing, np.zeros((0, 1)), np.zeros((0, 1)))

@@ -1,6 +1,6 @@
-"""Method ``many-light``: virtual lights on the hidden surface, seen by every pixel by way of the wall.
+"""Method ``many-light``: virtual lights on the hidden surface light every pixel over the relay wall.
 
-docs/rendering.md derives the estimator and says what is exact in it.
+docs/rendering.md derives the estimator and lists its errors.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from render.transport.scene_checks import check_many_light_scene
 if TYPE_CHECKING:
     import mitsuba as mi
 
-_FEWEST_WALL_POINTS, _MOST_WALL_POINTS = 32, 256  # that each light sees, each another set of them
-_LIGHT_PATHS = 2**18  # lights times wall points
+_FEWEST_WALL_POINTS, _MOST_WALL_POINTS = 32, 256  # for each surface point
+_LIGHT_PATHS = 2**18  # surface points times wall points
 _DIRECT_RULE = gauss_rule(4)
-# Cells of the direct return per image width in a transient, and their bounds per pixel and axis: their error
-# must stay small against a hidden signal of 3e-4 in coarse pixels too.
+# Cells of the direct return in a transient: in the width of the image, and their limits in a pixel. Their
+# error must be small against a hidden signal of 3e-4, also in large pixels.
 _DIRECT_CELLS, _FEWEST_CELLS, _MOST_CELLS = 2560, 16, 64
-_PACKETS = 16  # of a light's arrivals, in a transient
-_PILOT = Grid(16, 12)
+_PACKETS = 16  # for the arrivals of each light, in a transient
+_PILOT = Grid(16, 12)  # pixels that the error is estimated on
 _PILOT_RUNS = 4
 _FEWEST_LIGHTS, _MOST_LIGHTS = 128, 2**17
-_WIDE_PIXEL = 4e-3  # of the image width: wider pixels are integrated with 2 x 2 nodes, else at their centre
+_WIDE_PIXEL = 4e-3  # of the image width; the hidden part of wider pixels takes 2 x 2 nodes instead of one
 
 log = logging.getLogger(__name__)
 
 
 class ManyLight:
-    """Many lights instead of many paths: exact phasors, and transients of the same lights.
+    """The method ``many-light``: phasors without time bins, and transients from the same lights.
 
     Parameters
     ----------
-    options : `lights` fixes the number of surface points; otherwise as many are taken as a pilot says the
+    options : `lights` fixes the number of surface points. Without it, a pilot finds the number that the
         hidden-signal error `error` needs.
     variant : the active Mitsuba variant.
     """
@@ -66,7 +66,7 @@ class ManyLight:
 
         Raises
         ------
-        SceneError, HiddenSurfaceError : a scene that this method cannot render, and what to do.
+        SceneError, HiddenSurfaceError : this method cannot render the scene; the message says what to do.
         """
         surface = read_hidden_surface(scene) if view.max_bounces >= 3 else None
         if view.max_bounces > 1:
@@ -80,22 +80,22 @@ class ManyLight:
         return ManyLightExposure(scene, view, lights, error)
 
     def _count_and_error(self, workshop: LightWorkshop) -> tuple[int, float]:
-        """How many surface points to take, and the error of the hidden signal they leave."""
+        """Number of surface points, and the estimated error of the hidden signal with that number."""
         if self.options.lights is not None:
             return self.options.lights, workshop.pilot_error(self.options.lights)
         count = _FEWEST_LIGHTS
         while (error := workshop.pilot_error(count)) > self.options.error:
             if count >= _MOST_LIGHTS:
-                log.warning("even %d lights leave a hidden-signal error of %.2g", count, error)
+                log.warning("the hidden-signal error is %.2g even with %d lights", error, count)
                 break
-            # A smooth surface halves the error with each doubling; far off, two doublings are needed anyway.
+            # On a smooth surface, twice the points halve the error, so a large error needs two doublings.
             count *= 4 if error > 8 * self.options.error else 2
         return count, error
 
 
 @dataclass(frozen=True)
 class LightWorkshop:
-    """What all sets of lights of one measurement share."""
+    """Makes sets of lights for one measurement, for the pilot and for the image."""
 
     scene: mi.Scene
     surface: HiddenSurface
@@ -103,15 +103,15 @@ class LightWorkshop:
     view: View
 
     def lights(self, count: int, seed: int, max_bounces: int = 3) -> Lights:
-        """Lights at `count` surface points. The many points of a difficult object need fewer wall points."""
+        """Lights at `count` surface points. With more surface points, each needs fewer wall points."""
         wall_points = min(max(_LIGHT_PATHS // count, _FEWEST_WALL_POINTS), _MOST_WALL_POINTS)
         return make_lights(self.scene, self.surface, self.density, count, wall_points, seed, max_bounces)
 
     def pilot_error(self, count: int) -> float:
-        """Error of the hidden phasors with `count` surface points, relative to them: ‖z - z̄‖ / ‖z̄‖.
+        """Relative error ‖z - z̄‖ / ‖z̄‖ of the hidden phasors with `count` surface points.
 
-        The standard deviation over independent scramblings of the points, on a few pixels at the highest
-        frequency, which is the hardest.
+        It is the standard deviation over four independent scramblings of the points, on 16 x 12 pixels at the
+        highest frequency, where the error is largest.
         """
         highest = (max(self.view.frequencies_hz),)
         runs = []
@@ -127,11 +127,11 @@ class LightWorkshop:
 
 @dataclass(frozen=True)
 class ManyLightExposure:
-    """One measurement with its lights made.
+    """One measurement, with its lights.
 
     Attributes
     ----------
-    lights : virtual lights; none without a hidden object.
+    lights : virtual lights; empty without a hidden object.
     error : estimated error of the hidden phasors, relative to them; None without a hidden object.
     """
 
@@ -142,19 +142,19 @@ class ManyLightExposure:
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Provenance for the file: how many lights, and what error of the hidden signal they leave."""
+        """Provenance for the file: number of lights, and estimated error of the hidden signal."""
         counts = {"lights": str(len(self.lights))}
         return counts if self.error is None else {**counts, "hidden_error": f"{self.error:.3g}"}
 
     def phasors(self) -> PhasorImage:
-        """Exact phasors: no bins, and no noise of the direct return in the hidden part."""
+        """Phasors without time bins; the hidden part has no noise from the direct return."""
         grid, frequencies_hz = Grid(self.view.layout.width, self.view.layout.height), self.view.frequencies_hz
         direct = gather_direct(self.scene, grid, frequencies_hz, _DIRECT_RULE, self.view.seed)
         hidden = gather_lights(self.scene, grid, frequencies_hz, self._hidden_rule, self.lights)
         return PhasorImage(direct + hidden, direct, hidden, self.error)
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
-        """Time-resolved image rows, direct and hidden together, tent-splatted."""
+        """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
         layout = self.view.layout
         packets = self.lights.packets(_PACKETS)
         rule = midpoint_rule(min(max(_DIRECT_CELLS // layout.width, _FEWEST_CELLS), _MOST_CELLS))

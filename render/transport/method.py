@@ -1,4 +1,4 @@
-"""What a rendering method is: it exposes a Mitsuba scene and gives phasors or time-resolved rows."""
+"""The interface of a rendering method: it exposes a Mitsuba scene and returns phasors or transient rows."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class View:
     ----------
     layout : image size and time axis (optical path length).
     frequencies_hz : modulation frequencies, Hz, F of them.
-    max_bounces : how many surfaces light may meet.
-    seed : random stream of this measurement; same seed, same numbers on the same device.
+    max_bounces : most surfaces that light may meet.
+    seed : of the random numbers; equal seeds give equal results on the same device.
     """
 
     layout: TransientLayout
@@ -35,14 +35,14 @@ class View:
 
 @dataclass(frozen=True)
 class PhasorImage:
-    """Phasors (H, W, F) of a measurement, and its parts.
+    """Phasors (H, W, F) of a measurement and of its parts, radiance in W m^-2 sr^-1.
 
     Attributes
     ----------
-    total : direct and hidden together.
-    direct : one-bounce return of what the camera sees.
-    hidden : everything that met the hidden object.
-    error : estimated error of `hidden` relative to it; None when there is none to speak of.
+    total : sum of both parts.
+    direct : one-bounce return of the surfaces that the camera sees.
+    hidden : all light that met the hidden object.
+    error : estimated error of `hidden`, relative to `hidden`; None without a hidden object.
     """
 
     total: NDArray[np.complex128]
@@ -56,21 +56,21 @@ class Exposure(Protocol):
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Provenance for the files made of it, text by name."""
+        """Provenance of the measurement for its files, text by name."""
 
     def phasors(self) -> PhasorImage | None:
-        """Exact phasors at the view's frequencies, or None where the method knows only bins."""
+        """Phasors at the frequencies of the view, without time bins; None if the method has only bins."""
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
-        """Image rows from top to bottom in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
+        """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
 
 
 class Method(Protocol):
-    """A way to render; `render.transport.methods.METHODS` lists them."""
+    """A rendering method; `render.transport.methods.METHODS` lists all of them."""
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as ``--method`` takes it."""
 
     def expose(self, scene: mi.Scene, view: View) -> Exposure:
         """Prepare the measurement of a scene."""

@@ -1,4 +1,4 @@
-"""The rendering methods by name."""
+"""The table of the rendering methods by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Ground truth by the mirror trick: what the camera would see if the relay wall were an ideal mirror."""
+"""Ground truth by the mirror trick: the image that the camera sees if the relay wall is an ideal mirror.
+
+Source: Caligiuri et al. 2024, sec. 4.1; docs/design.md, Scene.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def trace_ground_truth(mirrored_scene: mi.Scene, width: int, height: int, frequency_hz: float) -> DepthMap:
-    """Depth map (H, W) of the mirrored scene, by one ray from the pinhole through each pixel centre.
+    """Depth map (H, W) of the mirrored scene, from one ray per pixel, from the pinhole through its centre.
 
-    A pixel belongs to the object when the first surface its ray meets is a shape whose id starts with
+    A pixel belongs to the object if the first surface its ray meets is a shape whose id starts with
     ``mirrored_``; all other surfaces are background.
     """
     import drjit as dr

@@ -1,4 +1,4 @@
-"""Method ``path``: mitransient's ``transient_path``, general and unbiased, the reference for all others."""
+"""Method ``path``: path tracing with ``transient_path`` of mitransient, the unbiased reference."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 INTEGRATOR_PLUGIN = "night_transient_path"
 _WAVEFRONT = 2**24  # paths in flight: about 1 GB in DrJit
-_SAMPLES_PER_PASS = 1024  # float32 bins add up this many returns before they are summed in float64
-_LOST_ENERGY = 1e-3
+_SAMPLES_PER_PASS = 1024  # paths whose energy is summed in float32; passes are summed in float64
+_LOST_ENERGY = 1e-3  # share of the light outside the time axis above which a warning is logged
 
 log = logging.getLogger(__name__)
 
@@ -29,11 +29,12 @@ log = logging.getLogger(__name__)
 class PathTracer:
     """Unbiased transient path tracing with next-event estimation.
 
-    The error of the hidden signal falls as 1/sqrt(spp): 10 to 15 / sqrt(spp) per pixel.
+    The relative error of the hidden signal in a pixel is 10 to 15 / sqrt(spp) (docs/design.md, Path tracing).
 
     Parameters
     ----------
-    options : `spp`, paths per pixel, is rounded up to whole passes of equal strata, at most 1024 each.
+    options : the paths per pixel, `spp`, are rounded up to equal passes of at most 1024 paths, each of whole
+        strata.
     variant : the active Mitsuba variant.
     """
 
@@ -46,12 +47,12 @@ class PathTracer:
         _register_integrator(variant)
 
     def expose(self, scene: mi.Scene, view: View) -> PathExposure:
-        """Nothing to prepare: all work is in the rows."""
+        """The measurement of a scene; `PathExposure.row_blocks` does all the work."""
         return PathExposure(self.passes, self.spp_per_pass, scene, view)
 
 
 def _whole_strata(spp: int) -> int:
-    """The next product of two near-equal whole numbers: how many strata a multi-jittered pixel has."""
+    """`spp` rounded up to a product of two nearly equal integers: the strata of the multijitter sampler."""
     rows = int(np.sqrt(spp))
     return rows * -(-spp // rows)
 
@@ -67,15 +68,15 @@ class PathExposure:
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Provenance for the file: the paths per pixel that were really traced."""
+        """Provenance for the file: the number of paths per pixel after rounding up."""
         return {"spp": str(self.passes * self.spp_per_pass)}
 
     def phasors(self) -> None:
-        """None: mitransient's films know only bins."""
+        """None, because the films of mitransient have only time bins."""
         return
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
-        """Time-resolved image rows, top to bottom, as blocks (rows, W, T) of radiance per bin."""
+        """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
         view = self.view
         step = max(1, _WAVEFRONT // (view.layout.width * self.spp_per_pass))
         step = min(step, view.layout.rows_per_block)
@@ -98,14 +99,13 @@ class PathExposure:
 
         scene, view = self.scene, self.view
         sensor = mi.load_dict(_sensor_dict(scene, view, start, rows))
-        integrator = mi.load_dict(
-            {"type": INTEGRATOR_PLUGIN, "max_depth": view.max_bounces + 1}
-        )  # path edges
+        depth = view.max_bounces + 1  # mitransient counts the edges of a path
+        integrator = mi.load_dict({"type": INTEGRATOR_PLUGIN, "max_depth": depth})
         total = np.zeros((rows, view.layout.width, view.layout.bin_count))
         steady_sum = 0.0
         for number in range(self.passes):
             seed = np.random.SeedSequence([view.seed, start, number]).generate_state(1)[0]
-            # opaque: a seed that is a literal in the kernel would recompile it for every scene.
+            # opaque, because a literal would compile the kernel again for every seed (docs/design.md, DrJit)
             steady, transient = integrator.render(
                 scene, sensor, seed=dr.opaque(mi.UInt32, int(seed)), spp=self.spp_per_pass
             )
@@ -126,7 +126,7 @@ def _sensor_dict(scene: mi.Scene, view: View, start: int, rows: int) -> dict[str
         "fov_axis": "x",
         "fov": float(mi.traverse(sensor)["x_fov"][0]),
         "to_world": mi.ScalarTransform4f(np.array(sensor.world_transform().matrix).reshape(4, 4)),
-        # Stratified in the pixel: the direct return's own spread over a pixel would hide the hidden signal.
+        # Stratified, because the direct return varies more within a pixel than the hidden signal is large.
         "sampler": {"type": "multijitter"},
         "film": {
             "type": FILM_PLUGIN,
@@ -146,10 +146,10 @@ def _sensor_dict(scene: mi.Scene, view: View, start: int, rows: int) -> dict[str
 
 @cache
 def _register_integrator(variant: str) -> None:
-    """``transient_path`` whose optical path starts at the pinhole.
+    """Register ``transient_path`` with optical paths that start at the pinhole.
 
-    Mitsuba starts camera rays at the near clip plane (1 cm by default); counted from there, every optical
-    path would be short by 1 to 1.2 cm.
+    Mitsuba starts camera rays at the near clip plane, 1 cm from the pinhole by default, which makes every
+    optical path 1 to 1.2 cm too short.
     """
     import mitransient  # noqa: F401  (registers the plugins it subclasses)
     import mitsuba as mi

@@ -1,4 +1,4 @@
-"""What a scene must be for the many-light method, checked with a few rays before any work."""
+"""Checks, with a few rays, that the many-light method can render a scene."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ USE_PATH = "render this scene with --method path"
 
 
 class SceneError(NightError):
-    """A scene that a method cannot render."""
+    """The rendering method cannot render this scene."""
 
 
 def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
-    """Refuse what many-light would get wrong.
+    """Refuse a scene that the many-light method would render wrongly.
 
     Raises
     ------
-    SceneError : nothing is lit; the lit wall is a pure mirror; camera or emitter see a hidden object.
+    SceneError : no surface is lit, the lit wall is a perfect mirror, or a hidden object is visible from the
+        camera or an emitter.
     """
     import drjit as dr
     import mitsuba as mi
@@ -45,17 +46,21 @@ def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
         lit_any |= bool(np.array(lit).any())
         smooth_any |= bool(np.array(smooth).any())
         if has_hidden and _meets_hidden(scene, si)[np.array(lit)].any():
-            raise SceneError(f"an emitter shines on the hidden object directly: {USE_PATH}")
+            raise SceneError(
+                f"an emitter lights the hidden object directly, which many-light cannot render: {USE_PATH}"
+            )
     if not lit_any:
         raise SceneError("the emitters light nothing in the scene: turn them towards the relay wall")
     if has_hidden and not smooth_any:
-        raise SceneError(f"the lit wall is a pure mirror, and many-light can do no mirrors: {USE_PATH}")
+        raise SceneError(f"the lit wall is a perfect mirror, which many-light cannot render: {USE_PATH}")
     width, height = _PIXELS
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     si = camera_hits(scene, upload(x), upload(y))
     dr.eval(si.shape)
     if has_hidden and _meets_hidden(scene, si).any():
-        raise SceneError(f"the camera sees the hidden object directly: {USE_PATH}")
+        raise SceneError(
+            f"the camera sees the hidden object directly, which many-light cannot render: {USE_PATH}"
+        )
 
 
 def _meets_hidden(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> NDArray[np.bool_]:

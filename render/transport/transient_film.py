@@ -1,9 +1,9 @@
-"""A film for time-resolved pixels that keeps what a hidden signal of 0.2 % needs.
+"""A film for transients, exact enough for a hidden signal of 0.2 % of the total.
 
-mitransient's ``transient_hdr_film`` stores the whole image even when cropped, an unused weight channel, and
-puts every return into one bin. This one stores the crop alone, one float per bin, and splits every return
-linearly between the two nearest bin centres (a tent), so that Φ x has a phase error of 1e-5 instead of 6e-3
-rad at 60 MHz (docs/design.md, Time bins).
+For a crop window, ``transient_hdr_film`` of mitransient stores the whole image. It also stores an unused
+weight channel and adds every return to one bin. This film stores the crop window only, and one float per bin.
+It splits every return linearly between the two nearest bin centres (a tent), which reduces the phase error of
+phasors at 60 MHz from 6e-3 to 1e-5 rad (docs/design.md, Time bins).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ FILM_PLUGIN = "night_transient_film"
 
 @cache
 def register_film(variant: str) -> None:
-    """Make the plugin ``night_transient_film`` known to Mitsuba under the active `variant`.
+    """Register the plugin ``night_transient_film`` with Mitsuba for the active `variant`.
 
-    Its parameters are those of ``transient_hdr_film``. A function rather than an import, because both
-    Mitsuba's and mitransient's classes exist only once a variant is set.
+    It has the parameters of ``transient_hdr_film``. The class is defined in this function, because the base
+    classes exist only after a variant is set.
     """
     import drjit as dr
     import mitsuba as mi
@@ -32,7 +32,7 @@ def register_film(variant: str) -> None:
     from render.transport.kernels import TimeAxis, splat_tent
 
     class TransientFilm(TransientHDRFilm):
-        """Crop-sized, single-channel, tent-splatting transient film (mono variants)."""
+        """Transient film of the crop window with one channel and tent splatting, for mono variants."""
 
         def prepare_transient_(self, aovs: Sequence[str]) -> int:
             size = self.crop_size()

@@ -1,0 +1,43 @@
+"""The result of a run, and how it is told to the user."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """The result of a run.
+
+    Attributes
+    ----------
+    rendered : number of scenes that this run rendered.
+    present : number of scenes that were rendered before, or by another command during the run.
+    failures : reason of failure by scene.
+    skipped_failures : number of scenes that failed in an earlier run and were not tried again.
+    """
+
+    rendered: int
+    present: int
+    failures: dict[str, str] = field(default_factory=dict)
+    skipped_failures: int = 0
+
+    def sentences(self, renders: Path) -> list[str]:
+        """The result as lines of text; `renders` is the folder of the renders."""
+        return [f"{self.rendered} scenes rendered, {self.present} were there already; {renders}"]
+
+    def complaints(self, renders: Path) -> list[str]:
+        """Failures and what to do about them, as lines of text; an empty list without failures."""
+        lines = [f"failed: scene {scene_id}: {reason}" for scene_id, reason in sorted(self.failures.items())]
+        if self.failures:
+            lines.append(
+                f"{len(self.failures)} scenes failed; logs are in {renders}/<id>/failure.log, and "
+                "night-render DATASET --retry-failed tries them again"
+            )
+        if self.skipped_failures:
+            lines.append(
+                f"{self.skipped_failures} scenes failed earlier and were left out: night-render DATASET "
+                "--retry-failed tries them again, night-render status DATASET lists them"
+            )
+        return lines

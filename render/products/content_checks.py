@@ -1,0 +1,137 @@
+"""Checks of the files of one rendered scene. Every check yields its problems as sentences.
+
+Nothing here uses Mitsuba; `render.products.geometry` traces the sample rays of the ground truth in numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof import DepthMap, Image, ImageFileError, TransientReader, phase_per_metre, pixel_types
+from render.products.geometry import traced_depth_m
+from scenegen import (
+    GROUND_TRUTH_FILE,
+    MEASUREMENT_FILE,
+    TRANSIENT_FILE,
+    Dataset,
+    RenderRecord,
+    sha256_of,
+)
+
+# Phasors from bins minus exact ones, relative to the hidden part: twice the 1 % of docs/rendering.md.
+BINNED_TOLERANCE = 0.02
+# Eight roundings of float32, relative to the largest value. This is 0.02 % of a hidden part of 0.2 %.
+_FLOAT_ROUNDING = 8 * 2.0**-24
+_SAMPLE_RAYS = 64
+_DEPTH_TOLERANCE_M = 1e-4  # float32 rays and meshes over a few metres have errors of about 1e-6 m
+
+
+def changed_files(folder: Path, record: RenderRecord) -> Iterator[str]:
+    """Files that are missing or differ from the record."""
+    for name, expected in record.files.items():
+        file = folder / name
+        if not file.is_file():
+            yield f"{name} is missing"
+        elif file.stat().st_size != expected.bytes:
+            yield f"{name} has {file.stat().st_size} bytes instead of {expected.bytes}"
+        elif sha256_of(file) != expected.sha256:
+            yield f"{name} is not what was written (its SHA-256 differs)"
+
+
+def wrong_storage(folder: Path, record: RenderRecord) -> Iterator[str]:
+    """Files with channels that are not float32."""
+    for name in record.files:
+        halves = [c for c, kind in pixel_types(folder / name).items() if kind != "FLOAT"]
+        if halves:
+            yield f"{name} stores {halves[0]} as another type than float32"
+
+
+def wrong_pixels(name: str, image: Image, shape: tuple[int, int]) -> Iterator[str]:
+    """Channels of another size than `shape` (height, width), or with NaN or infinite pixels."""
+    for channel, values in image.channels.items():
+        if values.shape != shape:
+            yield f"{name} has {values.shape[1]}x{values.shape[0]} pixels instead of {shape[1]}x{shape[0]}"
+            return
+        if not np.isfinite(values).all():
+            yield f"{name}: {channel} holds NaN or infinity"
+
+
+def wrong_phasors(image: Image, frequencies_hz: tuple[float, ...]) -> Iterator[str]:
+    """Phasors at other frequencies, or with parts that do not add up to the whole."""
+    total, found_hz = image.phasors()
+    if found_hz != frequencies_hz:
+        yield f"{MEASUREMENT_FILE} has phasors at {found_hz} Hz instead of {frequencies_hz}"
+    elif _has(image, "hidden"):
+        parts = image.phasors("direct")[0] + image.phasors("hidden")[0]
+        if np.abs(total - parts).max() > _FLOAT_ROUNDING * np.abs(total).max():
+            yield f"{MEASUREMENT_FILE}: direct and hidden part do not add up to the total"
+
+
+def wrong_truth(dataset: Dataset, scene_id: str, image: Image) -> Iterator[str]:
+    """Ground truth that contradicts itself or the geometry of the scene."""
+    truth = DepthMap.of_image(image)
+    depth_m, mask = truth.radial_depth_m, truth.mask
+    if ((depth_m > 0) != mask).any():
+        yield f"{GROUND_TRUTH_FILE}: depth and mask do not fit each other"
+        return
+    expected = DepthMap.of_object(depth_m, mask, truth.frequency_hz).phasor
+    phase_rad = 2 * depth_m * phase_per_metre(truth.frequency_hz)  # the optical path is twice the depth
+    if (np.abs(truth.phasor - expected) > _FLOAT_ROUNDING * (1 + phase_rad)).any():
+        yield f"{GROUND_TRUTH_FILE}: phasor and depth do not fit each other"
+    rows, columns = _sample_pixels(mask)
+    traced_m = traced_depth_m(dataset, scene_id, mask.shape, rows, columns)
+    off = np.abs(traced_m - depth_m[rows, columns]) > _DEPTH_TOLERANCE_M
+    if off.any():
+        row, column, expected_m = next(zip(rows[off], columns[off], traced_m[off], strict=True))
+        yield (
+            f"{GROUND_TRUTH_FILE}: the depth of {off.sum()} of {len(off)} sampled pixels is not that of the "
+            f"geometry (row {row}, column {column}: {depth_m[row, column]:.4f} m instead of "
+            f"{expected_m:.4f} m)"
+        )
+
+
+def wrong_transient(file: Path, image: Image, shape: tuple[int, int]) -> Iterator[str]:
+    """A transient of another size, with NaN or infinity, or that does not fit the measurement `image`."""
+    with TransientReader(file) as reader:
+        if (reader.layout.height, reader.layout.width) != shape:
+            yield f"{file.name} has {reader.layout.width}x{reader.layout.height} pixels"
+            return
+        # reads every row and sums every bin, so a NaN anywhere is found
+        binned = reader.phasors(image.phasors()[1])
+    if not np.isfinite(binned).all():
+        yield f"{file.name} holds NaN or infinity"
+    elif file.name == TRANSIENT_FILE:
+        exact = image.phasors()[0]
+        scale = np.linalg.norm(image.phasors("hidden")[0]) if _has(image, "hidden") else 0.0
+        allowed = max(BINNED_TOLERANCE * scale, _FLOAT_ROUNDING * np.linalg.norm(exact))
+        if np.linalg.norm(binned - exact) > allowed:
+            yield f"{file.name}: its phasors are not those of {MEASUREMENT_FILE}"
+
+
+def _has(image: Image, prefix: str) -> bool:
+    try:
+        image.phasors(prefix)
+    except ImageFileError:
+        return False
+    return True
+
+
+def _sample_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of sample pixels on object and background, none next to an edge of the mask."""
+    same = np.ones(mask.shape, bool)
+    changes_down, changes_right = np.diff(mask, axis=0), np.diff(mask, axis=1)
+    same[:-1] &= ~changes_down
+    same[1:] &= ~changes_down
+    same[:, :-1] &= ~changes_right
+    same[:, 1:] &= ~changes_right
+    rows, columns = [], []
+    for wanted in (False, True):
+        found = np.argwhere(same & (mask == wanted))
+        chosen = found[np.linspace(0, len(found) - 1, min(len(found), _SAMPLE_RAYS // 2)).astype(int)]
+        rows.append(chosen[:, 0])
+        columns.append(chosen[:, 1])
+    return np.concatenate(rows), np.concatenate(columns)
