@@ -1,76 +1,33 @@
 """The four commands: ``night-gen``, ``night-render``, ``night-train``, ``night-eval``.
 
-Whatever is wrong with the input becomes one sentence on stderr and exit code 2. Set ``NIGHT_TRACEBACK=1``
-to see where an error came from.
+Importing this file loads neither torch nor Mitsuba nor Blender: each command imports what it needs when it
+runs. What the commands share is in `commandline`: how they end, and their options.
 """
 
 from __future__ import annotations
 
 import functools
-import logging
-import os
-import re
-import signal
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from tqdm import tqdm
 
-import scenegen
-from scenegen import Preset
+from commandline.endings import DefaultGroup, NightCommand, NightGroup, say
+from commandline.options import DEVICE, FOLDER, ONLY, RENDER_SETTINGS, TRAINING, Megahertz, chosen_scenes
+from scenegen import Dataset, Preset, leaks, open_dataset, preset_from_dict, read_settings
+from scenegen.progress import showing_progress
 
 if TYPE_CHECKING:
-    from render.farm.run import RunResult
-
-DEVICE = click.option(
-    "--device",
-    type=click.Choice(["auto", "cpu", "cuda"]),
-    default="auto",
-    show_default=True,
-    help="Where to compute; auto takes a GPU if there is one.",
-)
-FOLDER = click.Path(path_type=Path)
+    from render import RenderSettings
 
 
-class Refusal(click.ClickException):
-    """A one-sentence error with exit code 2."""
-
-    exit_code = 2
-
-
-def refusing(command: Callable[..., None]) -> Callable[..., None]:
-    """Turn the errors that input can cause into one sentence; leave the rest of click as it is."""
-
-    @functools.wraps(command)
-    def wrapped(*args: Any, **kwargs: Any) -> None:
-        logging.basicConfig(level=logging.INFO, format="%(message)s")
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that `finally` runs
-        try:
-            command(*args, **kwargs)
-        except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
-            sys.exit(128 + signal.SIGINT)
-        except (ValueError, RuntimeError, ArithmeticError, MemoryError, OSError) as error:
-            # click's own exceptions are RuntimeErrors that it knows how to show.
-            if isinstance(error, click.exceptions.Exit | click.ClickException | click.Abort):
-                raise
-            if os.environ.get("NIGHT_TRACEBACK"):
-                raise
-            raise Refusal(_sentence(error)) from None
-
-    return wrapped
-
-
-@click.group()
-@click.version_option(package_name="night-nlos")
+@click.group(cls=NightGroup)
 def night_gen() -> None:
     """Make look-behind-a-corner scenes in Blender."""
 
 
-@night_gen.command()
+@night_gen.command(short_help="Make the scenes of a preset.")
 @click.argument("out", type=FOLDER)
 @click.option("--preset", default="paper", show_default=True, help="Name in data/presets, or a .toml file.")
 @click.option("--count", type=int, help="Number of scenes instead of the preset's.")
@@ -82,7 +39,6 @@ def night_gen() -> None:
     show_default=True,
     help="Processes that make scenes, 350 MB each; the dataset is the same.",
 )
-@refusing
 def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers: int) -> None:
     """Make the scenes of a preset in the folder OUT; a larger --count than before adds scenes."""
     from scenegen.making.generation import check_target, generate
@@ -94,21 +50,20 @@ def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers:
     hashes = {shape: mesh.sha256 for shape, mesh in meshes.items()}
     check_target(out, settings, hashes)  # before Blender, which takes a second to load
     make_maker = functools.partial(_blender_maker, meshes)
-    with tqdm(total=settings.dataset.count, unit="scene", desc="scenes", disable=None) as bar:
+    with showing_progress(settings.dataset.count, "scene", "scenes") as bar:
         if workers == 1:
-            dataset = generate(out, settings, make_maker(), lambda: bar.update(), meshes=hashes)
+            dataset = generate(out, settings, make_maker(), bar.update, meshes=hashes)
         else:
             dataset = generate_in_processes(
-                out, settings, make_maker, lambda: bar.update(), workers=workers, meshes=hashes
+                out, settings, make_maker, bar.update, workers=workers, meshes=hashes
             )
-    found = scenegen.leaks(dataset.scene(scene_id) for scene_id in dataset.ids())
+    found = leaks(dataset.scene(scene_id) for scene_id in dataset.ids())
     if found:
-        click.echo(f"warning: the splits leak in {len(found)} places, for example: {found[0]}", err=True)
-    parts = [f"{len(dataset.ids(split))} {split}" for split in ("train", "validation", "test")]
-    click.echo(f"{len(dataset.ids())} scenes in {out}: {', '.join(parts)}")
+        say(f"warning: the splits leak in {len(found)} places, for example: {found[0]}")
+    click.echo(dataset.sentence())
 
 
-@night_gen.command()
+@night_gen.command(short_help="Contact sheet, plots and card of a dataset.")
 @click.argument("dataset", type=FOLDER)
 @click.option(
     "--count",
@@ -119,227 +74,178 @@ def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers:
 )
 @click.option("--only", multiple=True, metavar="ID", help="Only this scene on the sheet; may be repeated.")
 @click.option("--licence", metavar="TEXT", help="Licence of the dataset, for its card; kept from then on.")
-@refusing
 def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | None) -> None:
     """Draw a contact sheet and plots of DATASET, and write its card, README.md."""
     from render.products import contact_sheet
     from render.products import preview as preview_files
 
-    opened = scenegen.open_dataset(dataset)
-    ids = [opened.entry(scene_id).id for scene_id in dict.fromkeys(only)]
-    ids = ids or contact_sheet.choose_scenes(opened, count)
+    opened = open_dataset(dataset)
+    ids = chosen_scenes(opened, only) if only else contact_sheet.choose_scenes(opened, count)
     preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
     maker = _blender_maker(preview_files.meshes_in(opened))
-    with tqdm(total=len(opened.ids()) + len(ids), unit="scene", desc="preview", disable=None) as bar:
-        written = preview_files.write_preview(opened, ids, maker.picture, licence, lambda: bar.update())
+    with showing_progress(len(opened.ids()) + len(ids), "scene", "preview") as bar:
+        written = preview_files.write_preview(opened, ids, maker.picture, licence, bar.update)
     for file in written:
         click.echo(f"{file}")
     if dataset / "README.md" not in written:
-        click.echo(
-            f"{dataset / 'README.md'} is not ours and was left alone: rename it to get a dataset card",
-            err=True,
-        )
+        say(f"{dataset / 'README.md'} is not ours and was left alone: rename it to get a dataset card")
 
 
-@click.command()
+def _overridden(preset: str, count: int | None, seed: int | None) -> tuple[Preset, Path]:
+    """The preset with what the command line gives instead of its own count and seed; its own folder."""
+    data, origin = read_settings("presets", preset)
+    changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
+    table = data.setdefault("dataset", {})
+    if changes and isinstance(table, dict):
+        table.update(changes)
+    return preset_from_dict(data, origin), Path(origin).parent
+
+
+def _blender_maker(meshes: Mapping[str, Any]) -> Any:
+    """Start Blender in this process, one of the command's workers or itself."""
+    from scenegen.making.blender import BlenderMaker
+
+    return BlenderMaker(meshes)
+
+
+@click.group(cls=DefaultGroup, default="render")
+def night_render() -> None:
+    """Render what the camera measures of every scene in DATASET, or work on what is rendered.
+
+    What is rendered is kept; an interrupted run goes on when it is started again, on one machine or several.
+    Settings that are not given are those the dataset was rendered with before. A dataset in a folder named
+    like one of the commands is given as ./status.
+    """
+
+
+@night_render.command(short_help="Render DATASET; the word may be left out.")
 @click.argument("dataset", type=FOLDER)
-@click.option("--method", help="many-light (the default), or path: slower, for any scene at all.")
-@click.option(
-    "--product",
-    type=click.Choice(["itof", "transient", "both"]),
-    help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
-)
-@click.option("--error", type=float, help="many-light: wanted error of the hidden signal (0.01).")
-@click.option("--lights", type=click.IntRange(min=1), help="many-light: surface points, instead of --error.")
-@click.option(
-    "--spp",
-    type=click.IntRange(min=1),
-    help="path: paths per pixel (4096); the hidden signal's error is 10 to 15 / sqrt(spp).",
-)
-@click.option("--max-bounces", type=click.IntRange(min=1), help="Instead of the preset's.")
-@DEVICE
-@click.option("--resolution", metavar="WxH", help="Image size instead of the preset's, same aspect ratio.")
-@click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
-@click.option(
-    "--workers", type=click.IntRange(min=1), help="Worker processes (one a device), or --cluster jobs."
-)
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Render on a running Dask cluster, like tcp://host:8786."
-)
-@click.option(
-    "--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file (SLURM, PBS)."
-)
+@RENDER_SETTINGS
+@ONLY
+@click.option("--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs.")
+@click.option("--scheduler", metavar="ADDRESS", help="Render on a Dask cluster, like tcp://host:8786.")
+@click.option("--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file.")
 @click.option("--retry-failed", is_flag=True, help="Try scenes again that failed before.")
 @click.option("--replace", is_flag=True, help="Render scenes again that were rendered with other settings.")
 @click.option("--ignore-space", is_flag=True, help="Start although the disk looks too small.")
-@click.option("--status", is_flag=True, help="Say how far the dataset is rendered, and do nothing.")
-@click.option(
-    "--verify", is_flag=True, help="Check every rendered file; bad scenes are rendered in the next run."
-)
-@click.option("--movie", metavar="ID", help="Make the light-in-motion video of a scene's transient.")
-@click.option(
-    "--convert",
-    type=click.Choice(["itof", "tal"]),
-    help="itof: delete transients, keep phasors; with --out, phasors from transients. tal: HDF5 for y-tal.",
-)
-@click.option("--out", type=FOLDER, help="File of --movie, folder of --convert.")
-@click.option("--frequencies", metavar="MHZ,...", help="Of --convert itof --out, instead of the dataset's.")
-@click.version_option(package_name="night-nlos")
-@refusing
-def night_render(dataset: Path, only: tuple[str, ...], workers: int | None, **given: Any) -> None:
-    """Render what the camera measures of every scene in DATASET.
+@click.option("--dry-run", is_flag=True, help="Print the plan, and render nothing.")
+def render(dataset: Path, only: tuple[str, ...], dry_run: bool, **given: Any) -> None:
+    """Render what the camera measures of every scene in DATASET; this word may be left out."""
+    from render.farm.run import RunOptions, plan_run, render_dataset
 
-    What is rendered is kept; an interrupted run goes on when it is started again, on one machine or several.
-    Settings that are not given are those the dataset was rendered with before.
-    """
-    import render
-
-    opened = scenegen.open_dataset(dataset)
-    ids = [opened.entry(scene_id).id for scene_id in dict.fromkeys(only)] or opened.ids()
-    tasks = ("status", "verify", "movie", "convert", "out", "frequencies")
-    task = {name: given.pop(name) for name in tasks}
-    names = ("scheduler", "retry_failed", "replace", "ignore_space")
-    options = render.RunOptions(
-        workers=workers, cluster_file=given.pop("cluster"), **{name: given.pop(name) for name in names}
-    )
-    given["resolution"] = _size(given["resolution"])
-    asked = {name: value for name, value in given.items() if value is not None}
-    settings = render.settings_for(opened, asked)
-    if sum(bool(task[name]) for name in ("status", "verify", "movie", "convert")) > 1:
-        raise click.UsageError("--status, --verify, --movie and --convert are tasks of their own: give one")
-    if task["status"]:
-        click.echo("\n".join(render.read_status(opened, settings, ids).sentences()))
-    elif task["verify"]:
-        _verify(opened, ids, workers or 1)
-    elif task["movie"]:
-        file = task["out"] or Path(f"{opened.entry(task['movie']).id}.mp4")
-        with render.open_transient(opened, task["movie"]) as transient:
-            render.write_movie(transient, file)
-        click.echo(f"the light of scene {task['movie']} in motion: {file}")
-    elif task["convert"]:
-        _convert(opened, ids, task["convert"], task["out"], _hertz(task["frequencies"]))
-    else:
-        result = render.render_dataset(opened, settings, ids, options, _say)
-        _summarise(dataset, result)
-
-
-def _convert(
-    dataset: scenegen.Dataset,
-    ids: list[str],
-    form: str,
-    out: Path | None,
-    frequencies_hz: tuple[float, ...] | None,
-) -> None:
-    """Other forms of the transients: captures for y-tal, phasors at any frequencies, or none at all."""
-    import render
-    from render.products.conversion import shrink_dataset
-
-    if out is None and (form == "tal" or frequencies_hz):
-        raise click.UsageError(f"--convert {form} needs a folder to write to: give --out FOLDER")
-    if out is None:
-        freed = shrink_dataset(dataset, ids)
-        click.echo(f"{len(ids)} scenes have no transients now: {freed / 1e6:.3g} MB freed")
+    opened = open_dataset(dataset)
+    names = ("workers", "scheduler", "retry_failed", "replace", "ignore_space")
+    options = RunOptions(cluster_file=given.pop("cluster"), **{name: given.pop(name) for name in names})
+    settings, ids = _render_settings(opened, given), chosen_scenes(opened, only)
+    if dry_run:
+        plan_run(opened, settings, ids, options, click.echo)
         return
-    for scene_id in tqdm(ids, unit="scene", desc="convert", disable=None):
-        if form == "tal":
-            render.export_tal(dataset, scene_id, out / f"{scene_id}.hdf5")
-        else:
-            render.convert_to_itof(dataset, scene_id, out, frequencies_hz)
+    result = render_dataset(opened, settings, ids, options, say)
+    click.echo("\n".join(result.sentences(opened.renders)))
+    complaints = result.complaints(opened.renders)
+    if complaints:
+        say("\n".join(complaints))
+        raise click.exceptions.Exit(1)
+
+
+@night_render.command(short_help="How far DATASET is rendered.")
+@click.argument("dataset", type=FOLDER)
+@RENDER_SETTINGS
+@ONLY
+def status(dataset: Path, only: tuple[str, ...], **given: Any) -> None:
+    """Say how far DATASET is rendered, what failed and how long the rest will take."""
+    from render import read_status
+
+    opened = open_dataset(dataset)
+    found = read_status(opened, _render_settings(opened, given), chosen_scenes(opened, only))
+    click.echo("\n".join(found.sentences()))
+
+
+@night_render.command(short_help="Check every rendered file.")
+@click.argument("dataset", type=FOLDER)
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@ONLY
+def verify(dataset: Path, workers: int, only: tuple[str, ...]) -> None:
+    """Check every rendered file of DATASET; bad scenes are rendered in the next run."""
+    from render import verify as check
+
+    opened = open_dataset(dataset)
+    with showing_progress(None, "scene", "verify") as bar:
+        report = check(opened, chosen_scenes(opened, only), workers=workers, on_scene=bar.update)
+    click.echo("\n".join(report.sentences()))
+    if report.problems:
+        say("the next night-render renders the bad ones again")
+        raise click.exceptions.Exit(1)
+
+
+@night_render.command(short_help="A video of light in motion.")
+@click.argument("dataset", type=FOLDER)
+@click.argument("scene", metavar="ID")
+@click.option("--out", type=FOLDER, metavar="FILE", help="An .mp4 or .gif file.  [default: ID.mp4]")
+def movie(dataset: Path, scene: str, out: Path | None) -> None:
+    """Make the light-in-motion video of the transient of the scene ID of DATASET."""
+    from render import open_transient, write_movie
+
+    opened = open_dataset(dataset)
+    file = out or Path(f"{opened.entry(scene).id}.mp4")
+    with open_transient(opened, scene) as transient:
+        write_movie(transient, file)
+    click.echo(f"the light of scene {scene} in motion: {file}")
+
+
+@night_render.command(short_help="Transients in another form.")
+@click.argument("dataset", type=FOLDER)
+@click.option("--to", "form", required=True, type=click.Choice(["itof", "tal"]), help="Form of the files.")
+@click.option("--out", required=True, type=FOLDER, help="Folder to write to.")
+@click.option("--frequencies", type=Megahertz(), help="Of --to itof, instead of the dataset's.")
+@ONLY
+def convert(dataset: Path, form: str, out: Path, frequencies: Any, only: tuple[str, ...]) -> None:
+    """Write transients of DATASET in another form: phasors at any frequencies, or HDF5 for y-tal."""
+    from render import convert_to_itof, export_tal
+
+    if frequencies and form == "tal":
+        raise click.UsageError("--frequencies goes with --to itof: a capture for y-tal holds all time bins")
+    opened = open_dataset(dataset)
+    ids = chosen_scenes(opened, only)
+    with showing_progress(len(ids), "scene", "convert") as bar:
+        for scene_id in ids:
+            if form == "tal":
+                export_tal(opened, scene_id, out / f"{scene_id}.hdf5")
+            else:
+                convert_to_itof(opened, scene_id, out, frequencies)
+            bar.update()
     click.echo(f"{len(ids)} scenes converted in {out}")
 
 
-def _hertz(megahertz: str | None) -> tuple[float, ...] | None:
-    """``20,62.5`` as Hz, ascending."""
-    if megahertz is None:
-        return None
-    try:
-        return tuple(sorted(float(f"{float(number)}e6") for number in megahertz.split(",")))
-    except ValueError:
-        raise click.BadParameter(
-            f"{megahertz!r} is no list of frequencies; write it like 20,62.5", param_hint="--frequencies"
-        ) from None
+@night_render.command(short_help="Delete transients, keep phasors.")
+@click.argument("dataset", type=FOLDER)
+@ONLY
+def drop_transients(dataset: Path, only: tuple[str, ...]) -> None:
+    """Delete the transients of DATASET and keep phasors and ground truth; only rendering brings them back."""
+    from render.products.conversion import shrink_dataset
+
+    opened = open_dataset(dataset)
+    ids = chosen_scenes(opened, only)
+    freed = shrink_dataset(opened, ids)
+    click.echo(f"{len(ids)} scenes have no transients now: {freed / 1e6:.3g} MB freed")
 
 
-def _say(sentence: str) -> None:
-    click.echo(sentence, err=True)
+def _render_settings(dataset: Dataset, given: Mapping[str, Any]) -> RenderSettings:
+    """Settings of before, changed by the options that are given."""
+    from render import settings_for
+
+    return settings_for(dataset, {name: value for name, value in given.items() if value is not None})
 
 
-def _summarise(dataset: Path, result: RunResult) -> None:
-    """Closing lines of a run; exit code 1 when scenes failed."""
-    click.echo(f"{result.rendered} scenes rendered, {result.present} were there; {dataset / 'renders'}")
-    for scene_id, reason in sorted(result.failures.items()):
-        click.echo(f"failed: scene {scene_id}: {reason}", err=True)
-    if result.failures:
-        click.echo(
-            f"{len(result.failures)} scenes failed; logs are in {dataset / 'renders'}/<id>/failure.log, and "
-            "night-render --retry-failed tries them again",
-            err=True,
-        )
-    if result.skipped_failures:
-        click.echo(
-            f"{result.skipped_failures} scenes failed earlier and were left out: night-render --retry-failed "
-            "tries them again, --status names them",
-            err=True,
-        )
-    if result.failures or result.skipped_failures:
-        raise click.exceptions.Exit(1)
-
-
-def _verify(dataset: scenegen.Dataset, ids: list[str], workers: int) -> None:
-    """Check renders; exit code 1 when some are bad."""
-    import render
-
-    with tqdm(unit="scene", desc="verify", disable=None) as bar:
-        report = render.verify(dataset, ids, workers=workers, on_scene=bar.update)
-    for scene_id, problems in report.problems.items():
-        click.echo(f"bad: {scene_id}: {'; '.join(problems)}")
-    click.echo(
-        f"{report.checked} scenes checked: {report.checked - len(report.problems)} good, "
-        f"{len(report.problems)} bad; {len(ids) - report.checked} not rendered"
-    )
-    if report.problems:
-        click.echo("the next night-render renders the bad ones again", err=True)
-        raise click.exceptions.Exit(1)
-
-
-@click.command()
+@click.command(cls=NightCommand)
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
 @click.option(
     "--preset", help="Settings: a name in data/training, or a .toml file.  [default for a new run: default]"
 )
-@click.option("--channels", help="Network input: paper, residual or paper+residual.")
-@click.option("--frequencies", metavar="MHZ,...", help="That the network sees, like 20,60; else all.")
-@click.option("--width", type=click.IntRange(min=1), help="Channels of the U-Net's first level.")
-@click.option("--loss", help="mae, mse, mae+iou or mse+iou.")
-@click.option("--loss-on", help="What the error is taken on: components or depth.")
-@click.option("--alpha", type=click.FloatRange(min=0), help="Weight of the object in the loss.")
-@click.option("--learning-rate", type=click.FloatRange(min=0, min_open=True), help="Adam's step.")
-@click.option("--schedule", help="Of the learning rate: constant or cosine.")
-@click.option("--warm-up-epochs", type=click.FloatRange(min=0), help="In which the learning rate grows.")
-@click.option("--clip-norm", type=click.FloatRange(min=0), help="Largest norm of the gradient; 0: any.")
-@click.option("--ema-decay", type=click.FloatRange(0, 1, max_open=True), help="Of averaged weights; 0: none.")
-@click.option("--batch-size", type=click.IntRange(min=1), help="Scenes a step.")
-@click.option("--max-epochs", type=click.IntRange(min=1), help="Longest training.")
-@click.option("--patience", type=click.IntRange(min=1), help="Epochs without a better validation loss.")
-@click.option("--flip-rows/--no-flip-rows", default=None, help="Flip top and bottom: an exact symmetry.")
-@click.option("--flip-columns/--no-flip-columns", default=None, help="Flip left and right: the paper does.")
-@click.option("--rotation-deg", type=click.FloatRange(0, 180), help="Turn by up to this; the paper: 180.")
-@click.option("--translation", type=click.FloatRange(0, 1), help="Shift by up to this part; the paper: 0.2.")
-@click.option("--amplitude-spread", type=click.FloatRange(min=0), help="Other exposures, to 1 + this times.")
-@click.option("--noise-sigma", type=click.FloatRange(min=0), help="Sensor noise, in 20 MHz amplitudes.")
-@click.option("--precision", help="Of the convolutions: auto, float32, bfloat16 or float16.")
-@click.option("--channels-last/--no-channels-last", default=None, help="Memory order of images.")
-@click.option("--compile/--no-compile", default=None, help="Compile the network (a minute at the start).")
-@click.option("--checkpoint-minutes", type=click.FloatRange(min=0), help="Between two checkpoints.")
-@click.option("--seed", type=click.IntRange(min=0), help="Of weights, order and augmentation.")
-@DEVICE
 @click.option("--resume", is_flag=True, help="Go on with the run in --out, by its own settings.")
-@click.version_option(package_name="night-nlos")
-@refusing
-def night_train(
-    dataset: Path, out: Path, preset: str | None, frequencies: str | None, resume: bool, **options: Any
-) -> None:
+@TRAINING
+def night_train(dataset: Path, out: Path, preset: str | None, resume: bool, **options: Any) -> None:
     """Train a network on the renders of DATASET; options override the preset.
 
     Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
@@ -350,50 +256,19 @@ def night_train(
     import model
     from model.training.processes import is_first_process
 
-    opened = scenegen.open_dataset(dataset)
+    opened = open_dataset(dataset)
     before = model.run_settings(out) if resume else {}
     named = preset or (None if resume else "default")
     data, origin = model.training_preset(named) if named else ({}, "options")
     given = {name: value for name, value in options.items() if value is not None}
-    if frequencies is not None:
-        given["frequencies_hz"] = _hertz(frequencies)
     model.settings_from_dict(given, "options")  # what is wrong with them is not the preset's fault
     settings = model.settings_from_dict(before | data | given, origin)
     result = model.train(opened, out, settings, resume=resume)
     if is_first_process():
-        click.echo(
-            f"{result.epochs} epochs, ended by {result.ended_by}; best validation loss "
-            f"{result.best_validation_loss:.4f} in epoch {result.best_epoch}; run in {out}"
-        )
+        click.echo(result.sentence(out))
 
 
-class DefaultGroup(click.Group):
-    """A group of commands, one of which (`default`) is meant where the first word names none of them."""
-
-    default = "judge"
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command's name before what cannot be meant for the group."""
-        if args and args[0] not in self.commands and args[0] not in ("--help", "--version"):
-            args = [self.default, *args]
-        return super().parse_args(ctx, args)
-
-    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
-        """The usage line of the default command; the others are listed below it."""
-        return self.commands[self.default].collect_usage_pieces(ctx)
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The default command's options, then the list of commands."""
-        parameters = self.commands[self.default].get_params(ctx)
-        options = [parameter for parameter in parameters if isinstance(parameter, click.Option)]
-        records = [record for option in options if (record := option.get_help_record(ctx)) is not None]
-        with formatter.section("Options"):
-            formatter.write_dl(records)
-        self.format_commands(ctx, formatter)
-
-
-@click.group(cls=DefaultGroup)
-@click.version_option(package_name="night-nlos")
+@click.group(cls=DefaultGroup, default="judge")
 def night_eval() -> None:
     """Judge the network of RUN against the ground truth of DATASET, or use it.
 
@@ -409,7 +284,11 @@ def night_eval() -> None:
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Report folder to write.")
 @click.option(
-    "--split", type=click.Choice(["train", "validation", "test"]), default="test", show_default=True
+    "--split",
+    type=click.Choice(["train", "validation", "test"]),
+    default="test",
+    show_default=True,
+    help="Scenes to judge by.",
 )
 @click.option(
     "--mask-threshold",
@@ -417,13 +296,11 @@ def night_eval() -> None:
     help="Amplitude from which on a pixel shows the object, instead of the run's.",
 )
 @DEVICE
-@click.version_option(package_name="night-nlos")
-@refusing
 def judge(run: Path, dataset: Path, out: Path, **options: Any) -> None:
     """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
     import model
 
-    report = model.evaluate(run, scenegen.open_dataset(dataset), out, **options)
+    report = model.evaluate(run, open_dataset(dataset), out, **options)
     click.echo(report.table)
     click.echo(f"look at {out / 'index.html'}; figures and point clouds are beside it")
 
@@ -439,7 +316,6 @@ def judge(run: Path, dataset: Path, out: Path, **options: Any) -> None:
     "default .npz and .h5 are rescaled, .exr is not.",
 )
 @DEVICE
-@refusing
 def predict(run: Path, measurement: Path, out: Path, rescale: bool | None, device: Any) -> None:
     """Predict depth maps from the measurements in INPUT by the network of RUN.
 
@@ -458,7 +334,6 @@ def predict(run: Path, measurement: Path, out: Path, rescale: bool | None, devic
 @night_eval.command(short_help="The network as an ONNX file.")
 @click.argument("run", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="File to write; it ends in .onnx.")
-@refusing
 def export(run: Path, out: Path) -> None:
     """Write the network of RUN as an ONNX file, checked against PyTorch.
 
@@ -466,45 +341,4 @@ def export(run: Path, out: Path) -> None:
     """
     import model
 
-    check = model.export_onnx(run, out)
-    click.echo(
-        f"{out}: differs from PyTorch by at most {check.largest_difference:.2g} where outputs reach "
-        f"{check.largest_output:.2g} ({check.tolerance:.2g} is rounding)"
-    )
-
-
-def _overridden(preset: str, count: int | None, seed: int | None) -> tuple[Preset, Path]:
-    """The preset with what the command line gives instead of its own count and seed; its own folder."""
-    data, origin = scenegen.read_settings("presets", preset)
-    changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
-    table = data.setdefault("dataset", {})
-    if changes and isinstance(table, dict):
-        table.update(changes)
-    return scenegen.preset_from_dict(data, origin), Path(origin).parent
-
-
-def _blender_maker(meshes: Mapping[str, Any]) -> Any:
-    """Start Blender in this process, one of the command's workers or itself."""
-    from scenegen.making.blender import BlenderMaker
-
-    return BlenderMaker(meshes)
-
-
-def _size(resolution: str | None) -> tuple[int, int] | None:
-    if resolution is None:
-        return None
-    match = re.fullmatch(r"(\d+)x(\d+)", resolution)
-    if match is None:
-        raise click.BadParameter(
-            f"{resolution!r} is no image size; write it like 160x120", param_hint="--resolution"
-        )
-    return int(match[1]), int(match[2])
-
-
-def _sentence(error: BaseException) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror}"
-    if isinstance(error, MemoryError):
-        return f"out of memory {error}".strip() + ": use a smaller resolution, batch or bin_count"
-    return " ".join(str(error).split()) or type(error).__name__
+    click.echo(model.export_onnx(run, out).sentence(out))

@@ -19,7 +19,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -138,7 +138,7 @@ class TransientReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         with _one_sentence(self.path):
-            self._file = OpenEXR.InputFile(str(self.path))
+            self._file = _open(self.path)
             header = self._file.header()
         self.attributes = _attributes(header)
         missing = [name for name in _AXIS if name not in self.attributes]
@@ -148,10 +148,11 @@ class TransientReader:
                 f"the attributes night.bin_count, night.bin_width_m and night.start_opl_m"
             )
         window = header["dataWindow"]
+        values = window.max.x - window.min.x + 1  # of a scanline
         try:
             bin_count = int(self.attributes["bin_count"])
             self.layout = TransientLayout(
-                width=(window.max.x - window.min.x + 1) // bin_count,
+                width=values // bin_count,
                 height=window.max.y - window.min.y + 1,
                 bin_count=bin_count,
                 bin_width_m=float(self.attributes["bin_width_m"]),
@@ -159,6 +160,8 @@ class TransientReader:
             )
         except (ValueError, ZeroDivisionError) as error:
             raise ImageFileError(f"{path} has an impossible time axis: {error}") from None
+        if values % bin_count:
+            raise ImageFileError(f"{path} has {values} values in a row: no whole pixels of {bin_count} bins")
         self._first_row = window.min.y
 
     def read_rows(self, start: int, stop: int) -> NDArray[np.float32]:
@@ -168,7 +171,8 @@ class TransientReader:
         with _one_sentence(self.path):
             first = self._first_row + start
             data = self._file.channel(TRANSIENT_CHANNEL, _FLOAT, first, first + stop - start - 1)
-        return np.frombuffer(data, np.float32).reshape(stop - start, self.layout.width, self.layout.bin_count)
+            rows = np.frombuffer(data, np.float32)
+            return rows.reshape(stop - start, self.layout.width, self.layout.bin_count)
 
     def row_blocks(self, rows: int | None = None) -> Iterator[NDArray[np.float32]]:
         """All image rows in order, as blocks (rows, W, T) float32; by default a block has at most 64 MiB."""
@@ -278,20 +282,15 @@ def read_image(path: str | os.PathLike[str]) -> Image:
     ImageFileError : the file is missing, damaged, or not an EXR file.
     """
     path = Path(path)
-    with _one_sentence(path):
-        file = OpenEXR.InputFile(str(path))
-        try:
-            header = file.header()
-            window = header["dataWindow"]
-            shape = (window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)
-            names = list(header["channels"])
-            data = file.channels(names, _FLOAT)
-        finally:
-            file.close()
-    channels = {
-        name: np.frombuffer(values, np.float32).reshape(shape)
-        for name, values in zip(names, data, strict=True)
-    }
+    with _one_sentence(path), closing(_open(path)) as file:
+        header = file.header()
+        window = header["dataWindow"]
+        shape = (window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)
+        names = list(header["channels"])
+        channels = {
+            name: np.frombuffer(values, np.float32).reshape(shape)
+            for name, values in zip(names, file.channels(names, _FLOAT), strict=True)
+        }
     return Image(channels, _attributes(header))
 
 
@@ -302,12 +301,8 @@ def pixel_types(path: str | os.PathLike[str]) -> dict[str, str]:
     ------
     ImageFileError : the file is missing or not an EXR file.
     """
-    with _one_sentence(Path(path)):
-        file = OpenEXR.InputFile(str(path))
-        try:
-            channels = file.header()["channels"]
-        finally:
-            file.close()
+    with _one_sentence(Path(path)), closing(_open(Path(path))) as file:
+        channels = file.header()["channels"]
     return {name: str(channel.type) for name, channel in channels.items()}
 
 
@@ -324,6 +319,13 @@ def _attributes(header: Mapping[str, Any]) -> dict[str, str]:
         for name, value in header.items()
         if name.startswith(ATTRIBUTE_PREFIX) and isinstance(value, bytes)
     }
+
+
+def _open(path: Path) -> Any:
+    """An open file; `File` refuses names that are not UTF-8, on which `InputFile` crashes the process."""
+    header = OpenEXR.File(str(path), header_only=True).header()
+    "".join(channel.name for channel in header.get("channels", ()))
+    return OpenEXR.InputFile(str(path))
 
 
 @contextmanager

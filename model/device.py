@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 
 from model.settings import DeviceName, Precision
@@ -24,6 +27,17 @@ def choose_device(name: DeviceName) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         raise DeviceError("there is no CUDA device that PyTorch can use: choose device cpu or auto")
     return torch.device(name)
+
+
+@contextmanager
+def plain_memory_errors() -> Iterator[None]:
+    """Turn the out-of-memory errors of PyTorch into Python's `MemoryError`; on the CPU they have no type."""
+    try:
+        yield
+    except RuntimeError as error:
+        if isinstance(error, torch.OutOfMemoryError) or "alloc_cpu.cpp" in str(error):
+            raise MemoryError from None
+        raise
 
 
 def number_type(precision: Precision, device: torch.device) -> torch.dtype:

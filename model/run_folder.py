@@ -153,10 +153,13 @@ def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
 
 
 def save_weights(folder: Path, weights: Mapping[str, Tensor]) -> None:
-    """Write ``best.safetensors``."""
+    """Write ``best.safetensors``; `RunError` if it cannot be written."""
     plain = {name: tensor.cpu().contiguous() for name, tensor in weights.items()}
     with whole_file(folder / "best.safetensors") as partial:
-        save_file(plain, partial)
+        try:
+            save_file(plain, partial)
+        except SafetensorError as error:
+            raise RunError(f"{folder / 'best.safetensors'} cannot be written: {error}") from None
 
 
 def load_weights(folder: Path, network: UNet) -> None:

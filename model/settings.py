@@ -41,7 +41,7 @@ class TrainSettings:
     """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
     """Network input. With paper alone the network learns little (docs/design.md)."""
-    width: WholeCount = 32
+    width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
     """Channels of the U-Net's first level."""
     loss: LossName = "mae+iou"
     """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou)."""

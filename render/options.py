@@ -10,6 +10,7 @@ without importing it:
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
@@ -45,8 +46,8 @@ class ManyLightOptions:
     error: float = 0.01
 
     def __post_init__(self) -> None:
-        if not self.error > 0:
-            raise OptionError(f"the hidden-signal error must be above 0, got {self.error}")
+        if not 0 < self.error < math.inf:
+            raise OptionError(f"the hidden-signal error must be a finite number above 0, got {self.error}")
         if self.lights is not None and self.lights < 1:
             raise OptionError(f"--lights must be at least 1, got {self.lights}")
 

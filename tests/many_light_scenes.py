@@ -9,8 +9,9 @@ import numpy as np
 import trimesh
 
 from itof import MeasurementMatrix, TransientLayout
+from render.options import ManyLightOptions, PathOptions
 from render.transport.many_light import ManyLight
-from render.transport.method import MethodOptions, View
+from render.transport.method import View
 from render.transport.path_tracer import PathTracer
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
@@ -26,6 +27,30 @@ OBJECT_LOCATION_M = (1.15, 0.9, 1.6)
 GAP_M = 0.7  # between the relay wall and the middle wall
 
 
+def _one_scene(shapes, roughness, composite_fraction=0):
+    """A preset of one scene whose object stands in the middle of its range."""
+    location_m = {"x": [1.15, 1.15], "y": [0.9, 0.9], "z": [1.6, 1.6]}
+    return {
+        "dataset": {"count": 1, "seed": 3},
+        "hidden_object": {
+            "shapes": shapes,
+            "composite_fraction": composite_fraction,
+            "location_m": location_m,
+        },
+        "relay_wall": {"roughness": [roughness]},
+        "camera": {"width": LAYOUT.width, "height": LAYOUT.height},
+    }
+
+
+# Presets of one scene each (fixture `four_shapes`): convex and concave, one part and two.
+SHAPES = {
+    "sphere": _one_scene(["sphere"], 0.3),
+    "cube": _one_scene(["cube"], 0.6),
+    "concave_plane": _one_scene(["concave_plane"], 0.9),
+    "composite": _one_scene(["cone", "cylinder"], 0.6, 1),
+}
+
+
 def quad(*corners):
     """Two triangles; seen counter-clockwise from the side its normal points to."""
     return trimesh.Trimesh(np.array(corners, dtype=float), [[0, 1, 2], [0, 2, 3]], process=False)
@@ -37,7 +62,7 @@ def square(centre, normal, side_m):
     u = np.cross([0, 0, 1], normal)
     u /= np.linalg.norm(u)
     v = np.cross(normal, u)
-    half = side_m / 2  # half a side, not a path length
+    half = side_m / 2
     return quad(*(np.array(centre) + half * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))))
 
 
@@ -167,17 +192,17 @@ class Corner:
 
 def expose(scene, variant, *, lights=1024, seed=1, layout=LAYOUT, max_bounces=3):
     view = View(layout, FREQUENCIES_HZ, max_bounces, seed)
-    return ManyLight(MethodOptions(lights=lights), variant).expose(scene, view)
+    return ManyLight(ManyLightOptions(lights=lights), variant).expose(scene, view)
 
 
 def measure(scene, variant, **options):
-    return expose(scene, variant, **options).phasors(FREQUENCIES_HZ)
+    return expose(scene, variant, **options).phasors()
 
 
 def path_phasors(scene, variant, *, seeds, spp, layout=LAYOUT, max_bounces=3):
     """(runs, H, W, F) phasors by path tracing, Φ of tent-splatted bins."""
     phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="tent")
-    method = PathTracer(MethodOptions(spp=spp), variant)
+    method = PathTracer(PathOptions(spp=spp), variant)
     views = (View(layout, FREQUENCIES_HZ, max_bounces, seed) for seed in seeds)
     return np.array([phi.apply_streaming(method.expose(scene, view).row_blocks()) for view in views])
 
@@ -186,3 +211,24 @@ def relative(z, reference):
     """‖z - reference‖ / ‖reference‖ over the image, per frequency."""
     axes = (-3, -2)
     return np.linalg.norm(z - reference, axis=axes) / np.linalg.norm(reference, axis=axes)
+
+
+def assert_agrees_with_paths(image, runs):
+    """The sums agree within 5 sigma, and pixels differ by the noise of the path tracer's `runs`."""
+    hidden = runs - image.direct
+    count = len(runs)
+    total = image.hidden.sum(axis=(0, 1))
+    sums = hidden.sum(axis=(1, 2)) / total  # (runs, F), 1 where both agree
+    for part, expected in ((sums.real, 1), (sums.imag, 0)):
+        sigma = part.std(axis=0, ddof=1) / np.sqrt(count)
+        # Student's t with 11 degrees of freedom passes 5 once in 2500; six correlated looks.
+        assert np.all(np.abs(part.mean(axis=0) - expected) < 5 * sigma + 1e-3)
+    variance = (hidden.real.var(axis=0, ddof=1) + hidden.imag.var(axis=0, ddof=1)) / count  # (H, W, F)
+    squared = np.abs(hidden.mean(axis=0) - image.hidden) ** 2
+    # The sum of squares has the mean sum(v). Real and imaginary part may be one number, then each pixel
+    # scatters by sqrt(2) v; estimating v from few runs adds 2 / (runs - 1) to the 2.
+    scatter = np.sqrt((2 + 2 / (count - 1)) * (variance**2).sum(axis=(0, 1))) / variance.sum(axis=(0, 1))
+    chi = squared.sum(axis=(0, 1)) / variance.sum(axis=(0, 1))
+    # What every pixel shares, the lights' own error of at most 1 %, adds its square over the noise's.
+    noise = np.sqrt(variance.sum(axis=(0, 1))) / np.linalg.norm(image.hidden, axis=(0, 1))
+    assert np.all(np.abs(chi - 1) < 4 * scatter + (0.01 / noise) ** 2)

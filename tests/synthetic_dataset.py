@@ -18,6 +18,7 @@ from itof import (
     phasor_channels,
     phasor_of_return,
     pixel_rays,
+    read_image,
     write_image,
 )
 from scenegen import (
@@ -35,7 +36,7 @@ from scenegen import (
 )
 
 DISC_RADIUS_M = 0.3
-HIDDEN_FRACTION = 2e-3  # DESIGN 4.1
+HIDDEN_FRACTION = 2e-3  # docs/design.md, Hidden signal is small
 
 
 def write_synthetic_dataset(
@@ -86,9 +87,8 @@ def closed_form(
     on_wall = origin + rays * to_wall_m[..., None]  # (H, W, 3)
     hidden_point = np.array(scene.hidden_objects[0].location_m)
     leg_m = np.linalg.norm(on_wall - hidden_point, axis=-1)  # (H, W)
-    opl_m = (
-        2 * np.linalg.norm(origin - hidden_point) + to_wall_m + leg_m
-    )  # out by a mean way, back by this one
+    outward_m = 2 * np.linalg.norm(origin - hidden_point)  # the same for all pixels
+    opl_m = outward_m + leg_m + to_wall_m  # (H, W) to the object and back by the wall
     strength = HIDDEN_FRACTION * np.abs(direct[..., :1]) / leg_m[..., None] ** 2
     phasor = direct + strength * np.exp(1j * opl_m[..., None] * phase_per_metre(frequencies_hz))
 
@@ -98,3 +98,12 @@ def closed_form(
     radius_m = DISC_RADIUS_M
     on_disc = rays @ (towards / distance_m) > distance_m / np.hypot(distance_m, radius_m)
     return phasor, np.where(on_disc, distance_m, 0.0)
+
+
+def edit_image(path, **changes) -> None:
+    """Rewrite some channels of an EXR image; names with dots are given with underscores."""
+    image = read_image(path)
+    channels = dict(image.channels)
+    for name, change in changes.items():
+        channels[name.replace("_", ".")] = change(channels[name.replace("_", ".")].copy())
+    write_image(path, channels, {})

@@ -1,56 +1,171 @@
-"""The shape of the house (STYLE 1 and 5): arrows go one way, and importing does nothing."""
+"""The shape of the house: imports go one way, between its rooms (packages) and between their wings."""
 
 import ast
-import os
-import re
-import subprocess
-import sys
-from pathlib import Path
+import graphlib
 
 import pytest
+from source_tree import ROOMS, imports, needed_by, sources
 
-import itof
-from scenegen import preset
-
-ROOT = Path(__file__).parent.parent
-OURS = ("scenegen", "itof", "render", "model", "cli")
 MAY_IMPORT = {
     "scenegen": set(),
     "itof": set(),
     "render": {"scenegen", "itof"},
     "model": {"scenegen", "itof"},
-    "cli": {"scenegen", "itof", "render", "model"},
+    "commandline": {"scenegen", "itof", "render", "model"},
+    "cli": {"commandline", "scenegen", "itof", "render", "model"},
 }
+# What each wing may import of its own room, when it is loaded and later. A wing is a package or a module.
+WINGS = {
+    "scenegen": {"scenegen.files", "scenegen.night_error"},
+    "scenegen.night_error": set(),
+    "scenegen.files": {"scenegen.night_error"},
+    "scenegen.making": {"scenegen", "scenegen.files", "scenegen.night_error"},
+    "itof": set(),
+    "render": set(),
+    "render.byte_size": set(),
+    "render.options": set(),
+    "render.backend": set(),
+    "render.settings": {"render.options", "render.backend"},
+    "render.transport": {"render.options"},
+    "render.rendering": {"render.transport", "render.settings", "render.backend", "render.options"},
+    "render.farm.claims": set(),  # the locks of scenes, which products take too
+    "render.farm": {
+        *("render.rendering", "render.settings", "render.backend", "render.options", "render.byte_size"),
+        "render.farm.claims",
+    },
+    "render.products": {"render.farm.claims", "render.settings", "render.options", "render.byte_size"},
+    "model": set(),
+    "model.settings": set(),
+    "model.device": {"model.settings"},
+    "model.network": {"model.settings"},
+    "model.run_folder": {"model.network", "model.settings"},
+    "model.data": {"model.network", "model.settings"},
+    "model.training": {
+        *("model.data", "model.network", "model.run_folder", "model.device", "model.settings")
+    },
+    "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
+    "model.report": {
+        *("model.prediction", "model.data", "model.network", "model.run_folder", "model.device"),
+        "model.settings",
+    },
+    "commandline": set(),
+    "cli": set(),
+}
+BLENDER_FILES = "scenegen/making/blender"  # blender.py and blender_*.py
 # Libraries that live in one place: where each may be imported.
 HOME = {
     "mitsuba": "render/",
     "drjit": "render/",
     "mitransient": "render/",
     "torch": "model/",
-    "click": "cli.py",
-    "bpy": "scenegen/making/blender.py",
-    "bmesh": "scenegen/making/blender.py",
-    "mathutils": "scenegen/making/blender.py",
+    "click": ("cli.py", "commandline/"),
+    "bpy": BLENDER_FILES,
+    "bmesh": BLENDER_FILES,
+    "mathutils": BLENDER_FILES,
     "OpenEXR": "itof/exr.py",
     "Imath": "itof/exr.py",
     "h5py": ("render/products/tal_export.py", "model/prediction/measurement_files.py"),
-    "imageio_ffmpeg": "render/products/movie.py",
+    "imageio_ffmpeg": "render/products/movie_encoding.py",
+    "dask": "render/farm/",
+    "dask_jobqueue": "render/farm/",
+    "distributed": "render/farm/",
+    "tqdm": "scenegen/progress.py",
+    "jinja2": "model/report/page.py",
+    "plotly": "model/report/page.py",
+    "onnx": "model/prediction/onnx_export.py",
+    "onnxruntime": "model/prediction/onnx_export.py",
 }
 
 
-def sources():
-    files = [ROOT / "cli.py"]
-    for package in OURS[:-1]:
-        files += sorted((ROOT / package).rglob("*.py"))
-    return {str(file.relative_to(ROOT)): ast.parse(file.read_text()) for file in files}
+def wing_of(module):
+    """The most precise entry of WINGS that a module belongs to."""
+    return max((wing for wing in WINGS if f"{module}.".startswith(f"{wing}.")), key=len)
 
 
-def imported_modules(tree):
+def arrows():
+    """(importing, imported) modules of the program, each pair once."""
+    return sorted(
+        {
+            (module, each.module)
+            for module, found in imports().items()
+            for each in found
+            if each.module in imports()
+        }
+    )
+
+
+def test_imports_follow_the_arrows_between_rooms():
+    rooms = [(source, target, source.split(".")[0], target.split(".")[0]) for source, target in arrows()]
+    assert [
+        f"{source} imports {target}"
+        for source, target, room, other in rooms
+        if other != room and other not in MAY_IMPORT[room]
+    ] == []
+
+
+def test_imports_follow_the_arrows_between_wings():
+    wings = [(source, target, wing_of(source), wing_of(target)) for source, target in arrows()]
+    assert [
+        f"{source} imports {target}"
+        for source, target, wing, other in wings
+        if source.split(".")[0] == target.split(".")[0]
+        and source not in ROOMS  # the package itself offers the names of its modules
+        and other not in {wing, *WINGS[wing]}
+    ] == []
+
+
+def test_every_entry_of_the_table_is_there_and_the_table_has_no_circle():
+    assert {wing for wing in WINGS if wing not in imports()} == set()
+    graphlib.TopologicalSorter(WINGS).prepare()
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    sorter = graphlib.TopologicalSorter()
+    for source, target in arrows():
+        sorter.add(source, target)
+    sorter.prepare()  # CycleError names a circle
+
+
+def test_scenes_are_made_by_the_commands_alone():
+    outside = [
+        (source, target)
+        for source, target in arrows()
+        if target.startswith("scenegen.making.") and not source.startswith(("scenegen.making.", "cli"))
+    ]
+    # The meshes of finished scenes are read for the preview; that module does not need Blender.
+    assert outside == [("render.products.preview", "scenegen.making.meshes")]
+
+
+@pytest.mark.parametrize(
+    ("module", "machinery"),
+    [
+        ("model.settings", ("model.",)),
+        ("model.prediction.predictor", ("model.data", "model.training", "model.report")),
+        ("model.prediction.prediction_files", ("model.data", "model.training", "model.report")),
+        ("model.prediction.onnx_export", ("model.data", "model.training", "model.report")),
+        ("render.settings", ("render.transport", "render.rendering", "render.farm", "render.products")),
+        ("render.farm.plan", ("render.transport", "render.rendering", "render.products")),
+    ],
+)
+def test_what_is_light_needs_no_machinery(module, machinery):
+    assert sorted(needed for needed in needed_by(module) if needed.startswith(machinery)) == []
+
+
+def test_each_heavy_library_lives_in_its_one_place():
+    wrong = [
+        f"{file} imports {module}"
+        for file, tree in sources().items()
+        for module in imported_names(tree)
+        if not file.startswith(HOME.get(module.split(".")[0], ""))
+    ]
+    assert wrong == []
+
+
+def imported_names(tree):
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "imports are absolute"
             yield node.module
 
 
@@ -62,107 +177,39 @@ def imports_of_blender(tree):
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         else:
             continue
-        if "scenegen.making.blender" in names:
+        if any(name.startswith("scenegen.making.blender") for name in names):
             yield node
 
 
-def test_imports_follow_the_arrows():
-    wrong = [
-        f"{file} imports {module}"
+def test_the_blender_files_are_imported_late_and_by_night_gen_alone():
+    users = [
+        (file, node)
         for file, tree in sources().items()
-        for module in imported_modules(tree)
-        if (target := module.split(".")[0]) in OURS
-        and target != (own := file.split("/")[0].removesuffix(".py"))
-        and target not in MAY_IMPORT[own]
+        if not file.startswith(BLENDER_FILES)
+        for node in imports_of_blender(tree)
     ]
-    assert wrong == []
+    assert [(file, node.module) for file, node in users] == [("cli.py", "scenegen.making.blender")]
+    assert users[0][1].col_offset > 0  # inside a function
 
 
-def test_each_heavy_library_lives_in_its_one_place():
-    wrong = [
-        f"{file} imports {module}"
+def test_blender_is_loaded_in_one_place():
+    loading = [
+        file
         for file, tree in sources().items()
-        for module in imported_modules(tree)
-        if not file.startswith(HOME.get(module.split(".")[0], ""))
+        if {module.split(".")[0] for module in imported_names(tree)} & {"bpy", "bmesh", "mathutils"}
     ]
-    assert wrong == []
-
-
-def test_the_blender_file_is_imported_late_and_by_night_gen_alone():
-    users = [(file, node.col_offset) for file, tree in sources().items() for node in imports_of_blender(tree)]
-    assert [file for file, _ in users] == ["cli.py"]
-    assert users[0][1] > 0  # inside a function
+    assert loading == ["scenegen/making/blender_start.py"]  # this file first sets Blender's settings folder
 
 
 @pytest.mark.parametrize(
     "line",
     [
         "import scenegen.making.blender",
-        "from scenegen import Scene, blender",
+        "from scenegen.making import meshes, blender",
+        "from scenegen.making.blender_start import bpy",
         "import os, scenegen.making.blender as maker",
         "from scenegen.making.blender import BlenderMaker",
     ],
 )
-def test_every_way_to_import_the_blender_file_is_seen(line):
+def test_every_way_to_import_a_blender_file_is_seen(line):
     assert len(list(imports_of_blender(ast.parse(line)))) == 1
-
-
-def test_both_packages_that_need_the_speed_of_light_mean_the_same():
-    assert preset.SPEED_OF_LIGHT == itof.SPEED_OF_LIGHT
-
-
-@pytest.mark.parametrize("llvm", ["in ldconfig", "in DRJIT_LIBLLVM_PATH"])
-def test_a_machine_with_all_libraries_is_always_found_complete(tmp_path, llvm):
-    # So many libraries that ldconfig is still writing when the first match is found.
-    names = re.findall(r"^lib\S+", (ROOT / ".ci/system_libraries").read_text(), re.MULTILINE)
-    if llvm == "in ldconfig":
-        names.append("libLLVM.so.19.1")
-    listing = "".join(f"\t{name} (libc6) => /lib/{name}\n" for name in names)
-    (tmp_path / "listing").write_text(listing + "\tlibother.so.1 (libc6) => /lib/x\n" * 50_000)
-    for program, line in (("ldconfig", f"cat {tmp_path}/listing"), ("python-stub", "exit 0")):
-        (tmp_path / program).write_text(f"#!/bin/sh\n{line}\n")
-        (tmp_path / program).chmod(0o755)
-    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHON": "python-stub"}
-    if llvm == "in DRJIT_LIBLLVM_PATH":
-        environment["DRJIT_LIBLLVM_PATH"] = str(tmp_path / "listing")
-    for installer in ("apt-get", "sudo"):  # must not be reached
-        (tmp_path / installer).write_text("#!/bin/sh\nexit 1\n")
-        (tmp_path / installer).chmod(0o755)
-    done = subprocess.run(
-        ["bash", ROOT / ".ci/system_libraries"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-@pytest.mark.parametrize("package", OURS)
-def test_importing_does_nothing_but_import(package, tmp_path):
-    heavy = {"mitsuba", "drjit", "bpy", "mitransient"} | ({"torch"} if package != "model" else set())
-    code = f"import sys, {package}; print(sorted({heavy!r} & set(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=tmp_path,
-        env={"PATH": "", "HOME": str(tmp_path), "MPLCONFIGDIR": str(tmp_path / "mpl")},
-    )
-    assert done.stdout == "[]\n"
-    assert done.stderr == ""
-    assert {entry.name for entry in tmp_path.iterdir()} <= {"mpl"}
-
-
-@pytest.mark.parametrize("package", OURS[:-1])
-def test_a_package_says_what_it_offers(package):
-    tree = sources()[f"{package}/__init__.py"]
-    assert ast.get_docstring(tree)
-    names = next(
-        [element.value for element in node.value.elts]
-        for node in tree.body
-        if isinstance(node, ast.Assign) and node.targets[0].id == "__all__"
-    )
-    imported = [alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names]
-    assert sorted(names) == sorted(imported)

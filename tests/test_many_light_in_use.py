@@ -12,10 +12,10 @@ from many_light_scenes import (
     CAMERA_LOCATION_M,
     DIFFUSE,
     FORWARD,
-    FREQUENCIES_HZ,
     LAYOUT,
     OBJECT_LOCATION_M,
     RIGHT,
+    SMALL,
     Corner,
     ball,
     box,
@@ -79,11 +79,11 @@ KERNELS_OF_EACH_SCENE = """
 import sys
 from pathlib import Path
 from render import Renderer, RenderSettings
-from render.transport.method import MethodOptions
+from render.options import ManyLightOptions
 from scenegen import open_dataset
 
 dataset = open_dataset(Path(sys.argv[1]))
-options = [MethodOptions(lights=2 ** (5 + number % 4)) for number, _ in enumerate(dataset.ids())]
+options = [ManyLightOptions(lights=2 ** (5 + number % 4)) for number, _ in enumerate(dataset.ids())]
 renderers = [Renderer(dataset, RenderSettings(product="both", device="cpu", options=o)) for o in options]
 import drjit as dr
 
@@ -101,10 +101,11 @@ for renderer, scene_id in zip(renderers, dataset.ids(), strict=True):
 def test_the_scenes_after_the_first_compile_no_kernel(make_dataset):
     dataset = make_dataset(
         {
-            "dataset": {"count": 7, "seed": 5},
+            "dataset": {"count": 4, "seed": 5},
             "hidden_object": {"composite_fraction": 0},
             "relay_wall": {"roughness": [0.3, 0.45, 0.6, 0.75, 0.9]},
             "camera": {"width": 24, "height": 18},
+            "transient": {"bin_count": 1400},
         }
     )
     scenes = [dataset.scene(scene_id) for scene_id in dataset.ids()]
@@ -113,12 +114,13 @@ def test_the_scenes_after_the_first_compile_no_kernel(make_dataset):
     command = [sys.executable, "-c", KERNELS_OF_EACH_SCENE, str(dataset.root)]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     kernels = [set(line.split()) for line in printed.splitlines()]
-    assert len(kernels) == 7
+    assert len(kernels) == 4
     assert len(kernels[0]) > 10
-    assert [len(later - kernels[0]) for later in kernels[1:]] == [0] * 6
+    assert [len(later - kernels[0]) for later in kernels[1:]] == [0] * 3
 
 
-def test_many_renders_in_one_process_do_not_grow_memory(variant, tmp_path):
+@pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.long)])
+def test_many_renders_in_one_process_do_not_grow_memory(variant, tmp_path, count):
     def resident_bytes():
         with open("/proc/self/statm") as file:  # noqa: PTH123
             return int(file.read().split()[1]) * 4096
@@ -129,19 +131,19 @@ def test_many_renders_in_one_process_do_not_grow_memory(variant, tmp_path):
     def render(number):
         scene = corner.but(hidden=(box(angle_rad=number),)).load(tmp_path)
         exposure = expose(scene, variant, lights=64, seed=number, layout=tiny)
-        exposure.phasors(FREQUENCIES_HZ)
+        exposure.phasors()
         list(exposure.row_blocks())
 
-    for number in range(10):
+    for number in range(4):
         render(number)
     gc.collect()
     before = resident_bytes()
-    for number in range(10, 50):
+    for number in range(4, 4 + count):
         render(number)
     gc.collect()
     # A render's arrivals alone are 64 lights x 256 wall points x 40 bytes, for it and four pilots: 3 MB.
-    # Kept, forty renders would be 130 MB; a leak of half a megabyte each is seen.
-    assert resident_bytes() - before < 20e6
+    # A leak of half a megabyte a render shows; 5 MB more are what the allocator keeps or gives back.
+    assert resident_bytes() - before < 5e6 + count * 0.5e6
 
 
 # Bad input and odd meshes
@@ -190,7 +192,7 @@ def test_degenerate_and_non_manifold_faces_change_nothing_but_the_sampling(varia
     vertices = np.vstack([clean.vertices, [OBJECT_LOCATION_M]])
     dirty = trimesh.Trimesh(vertices, np.vstack([point, faces, needle, fin]), process=False)
     images = [
-        measure(Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=4096)
+        measure(Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, layout=SMALL)
         for mesh in (clean, dirty)
     ]
     assert np.isfinite(images[1].hidden).all()
@@ -215,7 +217,9 @@ def test_a_mesh_of_82k_triangles_gives_the_signal_of_the_same_surface_in_few(var
     fine = coarse.subdivide().subdivide().subdivide().subdivide()
     assert len(fine.faces) == 81920
     images = [
-        measure(Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=4096)
+        measure(
+            Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=4096, layout=SMALL
+        )
         for mesh in (coarse, fine)
     ]
     allowed = 3 * np.hypot(images[0].error, images[1].error)

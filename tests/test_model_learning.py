@@ -50,7 +50,7 @@ def best_constant_loss(dataset, loss) -> float:
 )
 def test_every_choice_learns_on_closed_form_scenes(closed_form_scenes, tmp_path, change):
     learning = {"width": 4, "batch_size": 2, "max_epochs": 6, "learning_rate": 2e-3} | FLIP
-    chosen = settings(**(learning | {"checkpoint_minutes": 10.0} | change))
+    chosen = settings(**(learning | change))
     train(closed_form_scenes, tmp_path / "run", chosen)
     with (tmp_path / "run" / "history.csv").open() as stream:
         losses = [float(line["train_loss"]) for line in csv.DictReader(stream)]
@@ -70,7 +70,7 @@ def judged(many_scenes, tmp_path_factory):
     """The report of a small network that was trained on these scenes, and its folder."""
     root = tmp_path_factory.mktemp("judged")
     learning = {"width": 8, "batch_size": 8, "max_epochs": 20, "learning_rate": 3e-3, "alpha": 1.0}
-    course = {"schedule": "cosine", "warm_up_epochs": 1.0, "clip_norm": 1.0, "checkpoint_minutes": 10.0}
+    course = {"schedule": "cosine", "warm_up_epochs": 1.0, "clip_norm": 1.0}
     result = train(many_scenes, root / "run", settings(**learning, **course, **FLIP))
     assert result.epochs == 20
     report = evaluate(root / "run", many_scenes, root / "report", device="cpu", progress=False)

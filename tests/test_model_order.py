@@ -64,7 +64,8 @@ def test_rows_are_mixed_within_a_window_and_pieces_between_windows():
     shared = sum(a // PIECE == b // PIECE for window in windows for a, b in pairwise(window))
     counts = [[len(piece) for piece in rows_by_piece(window, PIECE)] for window in windows]
     expected = sum(n_p * (n_p - 1) / sum(count) for count in counts for n_p in count)
-    assert abs(shared - expected) < 5 * np.sqrt(expected)  # wider than 5 binomial deviations
+    # The variance of a count of pairs is below its mean: 5 standard deviations.
+    assert abs(shared - expected) < 5 * np.sqrt(expected)
     # Every piece comes together with every other at some time.
     together = {frozenset((a // PIECE, b // PIECE)) for ws in epochs for w in ws for a in w for b in w}
     assert len(together) == 15 * 14 / 2 + 15  # unordered pairs of 15 pieces, and each with itself

@@ -1,33 +1,27 @@
-"""Training in several processes, and training that is asked to stop: real processes, real signals."""
+"""Training in several processes, and processes that are asked to stop: real ones, real signals."""
 
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 import torch
+from night_commands import words
 from synthetic_dataset import write_synthetic_dataset
+from training_runs import FLIP, QUICK, assert_same_end, checkpoint, settings
 
-from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.processes import Processes
 
-TRAIN = """
-import sys
-from pathlib import Path
-from model import TrainSettings, train
-from scenegen import open_dataset
-dataset, out, resume, changes = sys.argv[1:]
-settings = TrainSettings(**eval(changes))
-train(open_dataset(Path(dataset)), Path(out), settings, resume=resume == "resume")
-"""
+pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
-ROOT = Path(__file__).parent.parent
-QUICK = {"width": 4, "batch_size": 4, "learning_rate": 1e-3, "progress": False, "device": "cpu"}
+TORCHRUN = (sys.executable, *("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"))
+COURSE = FLIP | {"width": 4, "batch_size": 4}
+ENDLESS = 400  # epochs; minutes, of which a test waits for the first
 
 
 @pytest.fixture(scope="module")
@@ -35,34 +29,52 @@ def dataset(tmp_path_factory):
     return write_synthetic_dataset(tmp_path_factory.mktemp("dataset"), count=16)
 
 
-@pytest.fixture(scope="module")
-def script(tmp_path_factory):
-    file = tmp_path_factory.mktemp("script") / "train.py"
-    file.write_text(TRAIN)
-    return file
+def start(dataset, out, *options, launcher=(), environment=(), **changes) -> subprocess.Popen:
+    """A process of ``night-train`` by `settings` with the same changes."""
+    preset = out.with_suffix(".toml")
+    values = QUICK | COURSE | changes
+    preset.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items()))
+    command = words("night-train", dataset.root, "--out", out, "--preset", preset, *options)
+    with errors_of(out).open("a") as errors:
+        return subprocess.Popen(
+            [*launcher, *command],
+            env=os.environ | {"OMP_NUM_THREADS": "1"} | dict(environment),
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+        )
 
 
-def start(script, dataset, out, *, processes=1, resume=False, **changes) -> subprocess.Popen:
-    """A training of its own, by torchrun where it has several processes."""
-    words = [script, dataset.root, out, "resume" if resume else "new", repr(QUICK | changes)]
-    launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
-    command = [sys.executable, *(launcher if processes > 1 else []), *map(str, words)]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    with errors_of(out).open("w") as errors:
-        return subprocess.Popen(command, env=environment, stderr=errors)
+@pytest.fixture
+def start_two():
+    """Start two processes of one training, as a launcher on one machine does."""
+    stores = []
+
+    def start_both(dataset, out, *options, **changes) -> list[subprocess.Popen]:
+        # The launcher's store, by which the processes find each other, outlives them.
+        stores.append(torch.distributed.TCPStore("127.0.0.1", 0, is_master=True, wait_for_workers=False))
+        common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(stores[-1].port), "WORLD_SIZE": "2"}
+        common |= {"LOCAL_WORLD_SIZE": "2"}
+        common |= {"TORCHELASTIC_USE_AGENT_STORE": "True", "TORCHELASTIC_RESTART_COUNT": "0"}
+        places = [common | {"RANK": str(rank), "LOCAL_RANK": str(rank)} for rank in (0, 1)]
+        return [start(dataset, out, *options, environment=place, **changes) for place in places]
+
+    return start_both
 
 
-def errors_of(out) -> Path:
-    """What the processes of a run said on stderr."""
+def errors_of(out):
+    """File with the stderr of all processes of a run."""
     return out.with_suffix(".stderr")
 
 
-def run_to_the_end(script, dataset, out, **changes) -> None:
-    assert start(script, dataset, out, **changes).wait() == 0, errors_of(out).read_text()
+def wait_for_the_first_epoch(run, *processes) -> None:
+    while not (run / "history.csv").exists() and all(process.poll() is None for process in processes):
+        time.sleep(0.01)
 
 
-def checkpoint(run) -> dict:
-    return torch.load(run / "checkpoint.pt", weights_only=True)
+def epochs_before_the_stop(run) -> int:
+    done = len(checkpoint(run)["history"])
+    assert 0 < done < ENDLESS, errors_of(run).read_text()
+    return done
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
@@ -75,73 +87,71 @@ def test_shares_of_a_batch_are_all_of_it_once_and_the_lent_row_counts_nothing(co
     assert all(p.share(rows) for p in processes)
 
 
-@pytest.mark.parametrize("scenes_a_batch", [4, 5])  # nine scenes: batches of 4, 4, 1 and of 5, 4
-def test_two_processes_train_the_network_of_one(script, dataset, tmp_path, scenes_a_batch):
+# Nine scenes: batches of 4, 4, 1 and of 5, 4. In a batch of one scene, one of the processes has none.
+@pytest.mark.parametrize("scenes_a_batch", [4, pytest.param(5, marks=pytest.mark.long)])
+def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batch):
     changes = {"batch_size": scenes_a_batch, "max_epochs": 2, "noise_sigma": 1e-3, "clip_norm": 1.0}
-    changes["checkpoint_minutes"] = 0  # a checkpoint after every batch must not count anything twice
-    for count in (1, 2):
-        run_to_the_end(script, dataset, tmp_path / f"{count}", processes=count, **changes)
-    one, two = (checkpoint(tmp_path / f"{count}") for count in (1, 2))
-    begin = TrainSettings(**QUICK | changes)
-    start_weights = first_weights(dataset, begin, tmp_path / "first")
+    changes["checkpoint_minutes"] = 0.0  # a checkpoint after every batch must not count anything twice
+    two = tmp_path / "two"
+    assert start(dataset, two, launcher=TORCHRUN, **changes).wait() == 0, errors_of(two).read_text()
+    train(dataset, tmp_path / "one", settings(**COURSE | changes))
+    begin = settings(**COURSE | changes | {"learning_rate": 1e-30, "max_epochs": 1})
+    train(dataset, tmp_path / "begin", begin)  # its weights are those before the first step, to float32
+    first, one, two = (checkpoint(tmp_path / name) for name in ("begin", "one", "two"))
     for name, weight in one["network"].items():
-        way = float((weight - start_weights[name]).norm())
-        # Sums in another order: rounding, grown by Adam's division by tiny gradients; not another step.
+        way = float((weight - first["network"][name]).norm())
+        # Sums in another order: rounding, which Adam's division by small gradients makes larger.
         assert float((two["network"][name] - weight).norm()) < 1e-2 * way, name
     for a, b in zip(one["history"], two["history"], strict=True):
         assert b == pytest.approx(a, rel=1e-3)
 
 
-def first_weights(dataset, settings, out) -> dict[str, torch.Tensor]:
-    """Weights before the first step, to float32: those after steps of 1e-30."""
-    still = {name: getattr(settings, name) for name in settings.__dataclass_fields__}
-    train(dataset, out, TrainSettings(**(still | {"learning_rate": 1e-30, "max_epochs": 1})))
-    return checkpoint(out)["network"]
+def test_two_processes_stop_together_when_one_is_asked_to_and_go_on(dataset, start_two, tmp_path):
+    run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 2}
+    processes = start_two(dataset, run, **changes)
+    wait_for_the_first_epoch(run, *processes)
+    processes[1].send_signal(signal.SIGTERM)
+    codes = [process.wait() for process in processes]
+    assert codes == [128 + signal.SIGINT, 128 + signal.SIGTERM], errors_of(run).read_text()
+    changes["max_epochs"] = epochs_before_the_stop(run) + 1
+    processes = start_two(dataset, run, "--resume", **changes)
+    assert [process.wait() for process in processes] == [0, 0], errors_of(run).read_text()
+    assert len(checkpoint(run)["history"]) == changes["max_epochs"]
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGINT, -signal.SIGINT)]
-)
-def test_a_stopped_training_goes_on_in_the_middle_of_its_epoch_to_the_same_weights(
-    script, dataset, tmp_path, number, code
-):
-    changes = {"max_epochs": 60, "batch_size": 1, "ema_decay": 0.9, "schedule": "cosine"}
-    run = tmp_path / "run"
-    process = start(script, dataset, run, **changes)
-    while not (run / "history.csv").exists() and process.poll() is None:
-        time.sleep(0.01)
-    time.sleep(0.05)
-    process.send_signal(number)
-    assert process.wait() == code, errors_of(run).read_text()
-    stopped = checkpoint(run)
-    assert 0 < len(stopped["history"]) < 60
-    run_to_the_end(script, dataset, run, resume=True, **changes)
-    run_to_the_end(script, dataset, tmp_path / "whole", **changes)
-    a, b = checkpoint(run), checkpoint(tmp_path / "whole")
-    assert a["history"] == b["history"]
-    for name, weight in a["network"].items():
-        assert torch.equal(weight, b["network"][name]), name
-    best = "best.safetensors"
-    assert (run / best).read_bytes() == (tmp_path / "whole" / best).read_bytes()
-
-
-def test_two_processes_stop_together_and_go_on(script, dataset, tmp_path):
-    run, changes = tmp_path / "run", {"max_epochs": 400, "batch_size": 2}
-    process = start(script, dataset, run, processes=2, **changes)
-    while not (run / "history.csv").exists() and process.poll() is None:
-        time.sleep(0.01)
+@pytest.mark.long
+def test_two_processes_whose_launcher_is_stopped_go_on_to_the_same_weights(dataset, tmp_path):
+    run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 2}
+    process = start(dataset, run, launcher=TORCHRUN, **changes)
+    wait_for_the_first_epoch(run, process)
     process.send_signal(signal.SIGTERM)
     process.wait()
-    done = len(checkpoint(run)["history"])
-    assert 0 < done < 400, errors_of(run).read_text()
-    run_to_the_end(script, dataset, run, processes=2, resume=True, **changes | {"max_epochs": done + 1})
-    assert len(checkpoint(run)["history"]) == done + 1
+    changes["max_epochs"] = epochs_before_the_stop(run) + 1
+    for out, options in ((run, ["--resume"]), (tmp_path / "whole", [])):
+        process = start(dataset, out, *options, launcher=TORCHRUN, **changes)
+        assert process.wait() == 0, errors_of(out).read_text()
+    assert_same_end(run, tmp_path / "whole")
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
+def test_a_process_ends_as_its_signal_says_and_the_run_goes_on_to_the_same_weights(dataset, tmp_path, number):
+    run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 1, "ema_decay": 0.9}
+    process = start(dataset, run, **changes)
+    wait_for_the_first_epoch(run, process)
+    time.sleep(0.05)  # into the next epoch
+    process.send_signal(number)
+    assert process.wait() == 128 + number, errors_of(run).read_text()
+    longer = settings(**COURSE | changes | {"max_epochs": epochs_before_the_stop(run) + 1})
+    assert train(dataset, run, longer, resume=True) == train(dataset, tmp_path / "whole", longer)
+    assert_same_end(run, tmp_path / "whole")
+
+
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler (Debian: g++)")
-def test_a_compiled_network_trains_as_the_plain_one(script, dataset, tmp_path):
-    for compiled in (False, True):
-        run_to_the_end(script, dataset, tmp_path / str(compiled), max_epochs=1, compile=compiled)
-    plain, fast = (checkpoint(tmp_path / str(compiled))["network"] for compiled in (False, True))
+def test_a_compiled_network_trains_as_the_plain_one(dataset, tmp_path):
+    compiled = tmp_path / "compiled"
+    assert start(dataset, compiled, max_epochs=1, compile=True).wait() == 0, errors_of(compiled).read_text()
+    train(dataset, tmp_path / "plain", settings(**COURSE | {"max_epochs": 1}))
+    plain, fast = checkpoint(tmp_path / "plain")["network"], checkpoint(compiled)["network"]
     for name, weight in plain.items():
         torch.testing.assert_close(fast[name], weight, rtol=1e-3, atol=1e-5, msg=name)

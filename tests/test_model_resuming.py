@@ -75,6 +75,7 @@ def test_pieces_change_nothing_as_long_as_memory_holds_them_all(streamed, finish
 
 def test_an_interrupted_epoch_is_begun_again(closed_form_scenes, whole, tmp_path):
     run, killed = tmp_path / "run", []
+    every_batch = settings(checkpoint_minutes=0.0)
 
     def kill(_: object) -> None:
         if (run / "checkpoint.pt").exists() and not killed:
@@ -82,7 +83,7 @@ def test_an_interrupted_epoch_is_begun_again(closed_form_scenes, whole, tmp_path
             raise KeyboardInterrupt
 
     with before_each_network(kill), pytest.raises(KeyboardInterrupt):
-        train(closed_form_scenes, run, settings())
+        train(closed_form_scenes, run, every_batch)
     assert killed
     assert train(closed_form_scenes, run, settings(), resume=True) == whole[2][0]
     assert_same_end(run, whole[2][1])
@@ -95,7 +96,6 @@ def test_a_training_that_is_asked_to_stop_goes_on_in_the_middle_of_its_epoch(
     closed_form_scenes, tmp_path, number, ending
 ):
     course = {"max_epochs": 3, "batch_size": 2, "ema_decay": 0.9, "schedule": "cosine"}
-    course["checkpoint_minutes"] = 10.0  # the signal alone is a reason for a checkpoint
     batches_an_epoch = -(-len(closed_form_scenes.ids("train")) // 2)
     assert batches_an_epoch > 2
     batches = []
@@ -128,7 +128,7 @@ def test_a_training_that_is_asked_to_stop_while_it_validates_goes_on_there(
             os.kill(os.getpid(), signal.SIGINT)
 
     with before_each_network(ask), pytest.raises(KeyboardInterrupt):
-        train(closed_form_scenes, run, settings(checkpoint_minutes=10.0))
+        train(closed_form_scenes, run, settings())
     assert len(checkpoint(run)["history"]) == 1
     assert train(closed_form_scenes, run, settings(), resume=True) == whole[2][0]
     assert_same_end(run, whole[2][1])

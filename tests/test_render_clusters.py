@@ -5,16 +5,14 @@ There is no SLURM here. `sbatch` and `scancel` are small stand-ins that start an
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-from night_commands import night
+from night_commands import night_here
+from render_runs import SETTINGS
 
-import cli
 from render.farm.clusters import ClusterError, batch_cluster
 
 ROOT = Path(__file__).parent.parent
@@ -81,40 +79,36 @@ def test_the_sample_files_ask_for_what_they_say(tmp_path, monkeypatch, system, l
         assert words in command
 
 
-def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm):
-    (slurm / "small.toml").write_text(
-        "[dataset]\ncount = 3\n[camera]\nwidth = 16\nheight = 12\n[transient]\nbin_count = 1400\n"
-    )
+def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm, unrendered, seven_renders):
     (slurm / "cluster.yaml").write_text(
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
     )
-    assert night("night-gen", "scenes", "data", "--preset", "small.toml").returncode == 0
-    settings = ["--lights", "64", "--product", "itof", "--device", "cpu"]
-    done = night("night-render", "data", *settings, "--cluster", "cluster.yaml", "--workers", "2")
+    only = [word for scene_id in ("000000", "000003") for word in ("--only", scene_id)]
+    settings = [*SETTINGS, "--product", "itof", *only]
+    done = night_here(
+        "night-render", unrendered, *settings, "--cluster", slurm / "cluster.yaml", "--workers", 2
+    )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("3 scenes rendered")
+    assert done.stdout.startswith("2 scenes rendered")
     scripts = [file.read_text() for file in slurm.glob("script.*")]
     assert len(scripts) == 2
     assert all("#SBATCH -p cpu" in script for script in scripts)
-
-    shutil.copytree("data", "local", ignore=shutil.ignore_patterns("renders"))
-    assert night("night-render", "local", *settings).returncode == 0
-    for scene in ("000000", "000001", "000002"):
-        for name in ("itof.exr", "mirrored.exr", "render.json"):
-            files = [Path(data, "renders", scene, name) for data in ("data", "local")]
-            assert files[0].read_bytes() == files[1].read_bytes()
+    for scene_id in ("000000", "000003"):
+        for name in ("itof.exr", "mirrored.exr"):
+            file = Path("renders", scene_id, name)
+            assert (unrendered / file).read_bytes() == (seven_renders / file).read_bytes()
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("jobqueue: [", "is no YAML"),
+        ("jobqueue: [", "is not YAML"),
         ("cores: 4", "one section jobqueue.<system>"),
         ("jobqueue:\n  abacus:\n    cores: 4", "one section jobqueue.<system>"),
         ("jobqueue:\n  slurm: 4", "must hold keys"),
         (
             "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    coers: 4",
-            "unknown key coers of jobqueue.slurm; known are",
+            "unknown key coers of jobqueue.slurm; known keys are",
         ),
         ("jobqueue:\n  slurm:\n    cores: 4", "jobqueue.slurm needs memory"),
     ],
@@ -132,9 +126,9 @@ def test_a_cluster_file_that_is_not_there_is_refused(tmp_path):
         batch_cluster(tmp_path / "nowhere.yaml")
 
 
-def test_joining_and_starting_a_cluster_at_once_is_refused(make_dataset, tmp_path):
-    dataset = make_dataset({"dataset": {"count": 1}, "hidden_object": {"composite_fraction": 0.0}})
-    words = [str(dataset.root), "--scheduler", "tcp://localhost:1", "--cluster", str(tmp_path / "c.yaml")]
-    result = CliRunner().invoke(cli.night_render, words)
-    assert result.exit_code == 2
-    assert "either --scheduler or --cluster" in result.stderr
+def test_joining_and_starting_a_cluster_at_once_is_refused(unrendered, tmp_path):
+    done = night_here(
+        "night-render", unrendered, "--scheduler", "tcp://localhost:1", "--cluster", tmp_path / "c.yaml"
+    )
+    assert done.returncode == 2
+    assert "either --scheduler or --cluster" in done.stderr

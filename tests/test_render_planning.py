@@ -1,10 +1,11 @@
 """Plans, claims and status: what is said before and during a run is what the disk shows."""
 
-import dataclasses
 import os
+import shutil
 import subprocess
 import sys
 import time
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -12,12 +13,11 @@ from render.farm.claims import OtherRunError, attempts_of, claimed, joined_run, 
 from render.farm.inventory import Inventory
 from render.farm.plan import make_plan, size
 from render.farm.status import duration, read_status
-from render.rendering import Renderer
+from render.options import ManyLightOptions, PathOptions
 from render.settings import RenderSettings, settings_of
-from render.transport.method import MethodOptions
-from scenegen import RECORD_FILE, RenderingProvenance, read_record
+from scenegen import RECORD_FILE, RenderingRecord, open_dataset, read_record
 
-LIGHTS = MethodOptions(lights=256)
+SETTINGS = RenderSettings(product="both", options=ManyLightOptions(error=0.05))  # of the shared renders
 
 
 @pytest.fixture(scope="module")
@@ -25,18 +25,17 @@ def dataset(make_dataset):
     return make_dataset({"dataset": {"count": 7}, "camera": {"width": 64, "height": 48}})
 
 
-@pytest.fixture(scope="module")
-def rendered(dataset, variant):
-    renderer = Renderer(dataset, RenderSettings(product="both", options=LIGHTS, device="cpu"))
-    for scene_id in dataset.ids()[:3]:
-        renderer.render(scene_id)
-    return dataset
+@pytest.fixture
+def rendered(rendered_copy):
+    """Seven scenes, the first three rendered."""
+    for scene_id in ("000003", "000004", "000005", "000006"):
+        shutil.rmtree(rendered_copy / "renders" / scene_id)
+    return open_dataset(rendered_copy)
 
 
 def test_an_estimate_is_about_what_scenes_turn_out_to_take(rendered):
-    settings = RenderSettings(product="both", options=LIGHTS)
-    blind = make_plan(rendered, settings, rendered.ids(), [])
-    informed = make_plan(rendered, settings, rendered.ids(), rendered.ids()[:3])
+    blind = make_plan(rendered, SETTINGS, rendered.ids(), [])
+    informed = make_plan(rendered, SETTINGS, rendered.ids(), rendered.ids()[:3])
     records = [read_record(rendered.render_folder(scene)) for scene in rendered.ids()[:3]]
     measured = sum(file.bytes for record in records for file in record.files.values()) / 3
     assert informed.scene_bytes == pytest.approx(measured, rel=1e-3)
@@ -47,12 +46,12 @@ def test_an_estimate_is_about_what_scenes_turn_out_to_take(rendered):
 def test_a_plan_that_does_not_fit_says_what_would(dataset):
     plan = make_plan(dataset, RenderSettings(product="both"), dataset.ids(), [])
     assert plan.refusal() is None
-    tight = dataclasses.replace(plan, free_bytes=plan.needed_bytes // 5)
+    tight = replace(plan, free_bytes=plan.needed_bytes // 5)
     refusal = tight.refusal()
     assert "--product itof needs" in refusal
     assert "--resolution 16x12 fits" in refusal  # a 16th of the pixels; a quarter of them is too many
     assert "1 scenes fit" in refusal
-    small = dataclasses.replace(tight, settings=RenderSettings(product="itof"))
+    small = replace(tight, settings=RenderSettings(product="itof"))
     assert small.refusal() is None
 
 
@@ -71,13 +70,13 @@ def test_spans_of_time_read_as_people_say_them(seconds, words):
     assert duration(seconds) == words
 
 
-def test_settings_survive_the_way_through_dataset_json(dataset):
-    given = RenderSettings(method="path", product="both", options=MethodOptions(spp=7), resolution=(32, 24))
-    note = RenderingProvenance(
+def test_settings_survive_the_way_through_rendering_json(dataset):
+    given = RenderSettings(product="both", options=PathOptions(spp=7), resolution=(32, 24))
+    note = RenderingRecord(
         method=given.method,
         product=given.product,
         max_bounces=given.bounces(dataset),
-        options=dataclasses.asdict(given.options),
+        options=asdict(given.options),
         width=32,
         height=24,
         packages={},
@@ -132,15 +131,13 @@ def test_runs_of_the_same_settings_go_together_and_others_wait(tmp_path):
 
 
 def test_the_pace_is_that_of_the_latest_scenes_without_the_pause_before(rendered):
-    settings = RenderSettings(product="both", options=LIGHTS)
     now = time.time()
     for scene_id, age_s in zip(rendered.ids(), (9000, 20, 10), strict=False):
         os.utime(rendered.render_folder(scene_id) / RECORD_FILE, (now - age_s, now - age_s))
-    assert (
-        read_status(rendered, settings, rendered.ids()).scenes_per_hour is None
-    )  # nothing is being rendered
+    # Nothing is being rendered.
+    assert read_status(rendered, SETTINGS, rendered.ids()).scenes_per_hour is None
     with claimed(rendered.root / "renders", "000003"):
-        status = read_status(rendered, settings, rendered.ids())
+        status = read_status(rendered, SETTINGS, rendered.ids())
     assert status.running == ["000003"]
     # Two scenes in the 20 s since the first of them was done, give or take the time this takes.
     assert status.scenes_per_hour == pytest.approx(3600 / 20, rel=0.2)
@@ -149,7 +146,7 @@ def test_the_pace_is_that_of_the_latest_scenes_without_the_pause_before(rendered
 
 def test_a_smaller_product_is_contained_in_a_larger_one(rendered):
     states = {
-        product: Inventory(rendered, RenderSettings(product=product, options=LIGHTS)).state("000000")
+        product: Inventory(rendered, replace(SETTINGS, product=product)).state("000000")
         for product in ("itof", "transient", "both")
     }
     assert set(states.values()) == {"done"}

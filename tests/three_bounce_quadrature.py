@@ -48,13 +48,13 @@ def hidden_phasors(
     x, weight = np.polynomial.legendre.leggauss(nodes)
     share = np.outer(weight, weight) / 4  # of a pixel: Gauss weights sum to 2 on each axis
     z = np.zeros((height, width, len(turns)), complex)
-    half_width = np.tan(np.radians(camera_fov_deg) / 2)  # half a field of view, not a path length
-    pitch = 2 * half_width / width  # pixel pitch at unit depth, not a path length
+    half_width = np.tan(np.radians(camera_fov_deg) / 2)
+    pitch = 2 * half_width / width  # of pixels at unit depth
     centres = pixel_rays(width, height, camera_fov_deg)
     centres = centres / centres[..., 2:]
     for row in range(nodes):
         for column in range(nodes):
-            offset = np.array([x[column], x[row], 0]) * pitch / 2  # half a pixel, not a path length
+            offset = np.array([x[column], x[row], 0]) * pitch / 2
             rays = (centres + offset) @ axes
             rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
             t = camera[0] / -rays[..., 0]
@@ -81,7 +81,7 @@ def _form_factor(wall, points, normal):
 
 def _parallelogram_nodes(corners, order):
     x, weight = np.polynomial.legendre.leggauss(order)
-    u, v = np.meshgrid((x + 1) / 2, (x + 1) / 2)  # from [-1, 1] to [0, 1], not a path length
+    u, v = np.meshgrid((x + 1) / 2, (x + 1) / 2)  # from [-1, 1] to [0, 1]
     a, b = corners[1] - corners[0], corners[3] - corners[0]
     area = np.linalg.norm(np.cross(a, b))
     points = corners[0] + u.ravel()[:, None] * a + v.ravel()[:, None] * b
@@ -94,14 +94,14 @@ def _lit_wall(camera, axes, aspect, fov_deg, order):
     The axis is horizontal, so the frustum's left and right planes meet the wall in vertical lines, and its
     top and bottom lie at ± tan(vertical half angle) x depth along the axis.
     """
-    slope = np.tan(np.radians(fov_deg) / 2)  # half a field of view, not a path length
+    slope = np.tan(np.radians(fov_deg) / 2)
     edges = []
     for side in (-slope, slope):
         ray = axes[2] + side * axes[0]
         edges.append(camera[1] + ray[1] * camera[0] / -ray[0])
     x, weight = np.polynomial.legendre.leggauss(order)
     low, high = sorted(edges)
-    y = low + (x + 1) / 2 * (high - low)  # from [-1, 1], not a path length
+    y = low + (x + 1) / 2 * (high - low)  # from [-1, 1]
     depth = (np.stack([np.zeros(order), y, np.full(order, camera[2])], axis=1) - camera) @ axes[2]
     half_height = slope / aspect * depth
     z = camera[2] + half_height[:, None] * x

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from itof import amplitude, residual_channels
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
-from model.network.channels import InputSpec
+from model.network.channels import ChannelError, InputSpec
 from model.settings import Channels
 
 
@@ -30,10 +30,10 @@ def fit_input_spec(
 
     Raises
     ------
-    ValueError : there are no scenes, they hold no light, or a frequency was not rendered.
+    ChannelError : there are no scenes, they hold no light, or a frequency was not rendered.
     """
     if not rows:
-        raise ValueError(
+        raise ChannelError(
             "the input channels are scaled by the training scenes, but there are no training scenes"
         )
     available = shards.manifest.frequencies_hz
@@ -51,7 +51,7 @@ def fit_input_spec(
             means.append(residual.mean(axis=(1, 2)))
             squares.append((residual**2).mean(axis=(1, 2)))
     if not np.mean(amplitudes) > 0:
-        raise ValueError(f"the {len(rows)} training scenes hold no light: render them again")
+        raise ChannelError(f"the {len(rows)} training scenes hold no light: render them again")
     residual_scale: tuple[float, ...] = ()
     if unscaled.uses_residual:
         variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)

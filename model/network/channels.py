@@ -12,7 +12,12 @@ from pydantic.dataclasses import dataclass
 
 from itof import network_channels, residual_channels
 from model.settings import Channels
+from scenegen import NightError
 from scenegen.contract import STRICT, Positive
+
+
+class ChannelError(NightError):
+    """Input channels that a dataset cannot give."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -77,11 +82,11 @@ class InputSpec:
 
         Raises
         ------
-        ValueError : a frequency was not measured.
+        ChannelError : a frequency was not measured.
         """
         missing = [f for f in self.frequencies_hz if f not in available_hz]
         if missing:
-            raise ValueError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
+            raise ChannelError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
     def apply(self, phasor: Any, reference: Any = None) -> Any:

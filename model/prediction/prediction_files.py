@@ -14,7 +14,7 @@ from itof import DepthMap
 from model.prediction.figures import prediction_figure, write_figure
 from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
 from model.prediction.pointclouds import object_points, write_point_cloud
-from model.prediction.predictor import BATCH, Predictor, load
+from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.settings import DeviceName
 from scenegen import NightError, whole_folder, write_text
 from scenegen.progress import showing_progress
@@ -123,7 +123,7 @@ def _predict_all(
             batch = measured.phasors[start : start + BATCH]  # (n, H, W, F)
             try:
                 predictions = predictor.predict(batch, measured.reference, rescale=rescale)
-            except ValueError as error:
+            except InputError as error:
                 raise MeasurementError(f"{measured.path}, batch from image {start}: {error}") from None
             for index in range(len(batch)):
                 name = f"{start + index:06d}"

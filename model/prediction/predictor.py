@@ -12,13 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from itof import DepthMap, amplitude, join_components
-from model.device import choose_device
+from model.device import choose_device, plain_memory_errors
 from model.network.readout import Readout
 from model.network.unet import UNet
-from model.run_folder import RunConfig, load_weights, read_config
+from model.run_folder import RunConfig, RunError, load_weights, read_config
 from model.settings import DeviceName
+from scenegen import NightError
 
 BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB
+
+
+class InputError(NightError):
+    """Measurements that a network cannot be used on."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +62,9 @@ class Predictor:
 
         Raises
         ------
-        ValueError : shape or number of frequencies differ from the training, a value is not finite, or an
+        InputError : shape or number of frequencies differ from the training, a value is not finite, or an
             image without light is to be rescaled.
+        RunError : the output of the network is not finite.
         """
         z = np.asarray(phasors)
         self._refuse_other_images(z)
@@ -83,9 +89,9 @@ class Predictor:
 
     def _refuse_other_images(self, z: NDArray[np.generic]) -> None:
         if z.ndim not in (3, 4):
-            raise ValueError(f"expected phasors of shape (H, W, F) or (N, H, W, F), got {z.shape}")
+            raise InputError(f"expected phasors of shape (H, W, F) or (N, H, W, F), got {z.shape}")
         if z.shape[-3:] != self._image_shape or not z.size:
-            raise ValueError(
+            raise InputError(
                 f"expected phasors of shape {self._image_shape} (H, W, F), as in the training, "
                 f"or several such images, got {z.shape}"
             )
@@ -97,7 +103,7 @@ class Predictor:
             return self.reference if self.config.inputs.uses_residual else None
         known = np.asarray(reference)
         if known.shape != self._image_shape:
-            raise ValueError(f"expected a reference of shape {self._image_shape}, got {known.shape}")
+            raise InputError(f"expected a reference of shape {self._image_shape}, got {known.shape}")
         _refuse_not_phasors(known, "the reference")
         return known
 
@@ -107,7 +113,7 @@ class Predictor:
         with np.errstate(over="ignore"):  # the check below finds overflows
             channels = self.config.inputs.apply(images, reference)  # (N, C, H, W)
         if not np.isfinite(channels).all():
-            raise ValueError(
+            raise InputError(
                 "the measurement holds values too large for the network's float32 channels: rescale it, or "
                 "set pixels that received almost no light to 0"
             )
@@ -118,26 +124,32 @@ class Predictor:
         mean = amplitude(images[..., 0]).mean(axis=(1, 2), dtype=np.float64)  # (N,)
         if not (mean > 0).all():
             dark = int(np.flatnonzero(~(mean > 0))[0])
-            raise ValueError(
+            raise InputError(
                 f"image {dark} of {len(images)} holds no light at the first frequency: it cannot be rescaled"
             )
         gain: NDArray[np.float64] = self.config.inputs.amplitude_scale / mean
         return gain[:, None, None, None]
 
+    @plain_memory_errors()
     @torch.no_grad()
     def _predict_some(
         self, channels: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
         self.network.eval()
         output = self.network(torch.from_numpy(channels).to(self.device))  # (N, 2, H, W)
+        if not bool(output.isfinite().all()):
+            raise RunError(
+                "the network answers with NaN or infinite values: its weights are damaged, or the "
+                "measurement is far from those that it was trained on"
+            )
         return read_output(output, self.config.readout)
 
 
 def _refuse_not_phasors(z: NDArray[np.generic], what: str) -> None:
     if not np.iscomplexobj(z):
-        raise ValueError(f"{what} must be complex phasors, got {z.dtype}")
+        raise InputError(f"{what} must be complex phasors, got {z.dtype}")
     if not np.isfinite(z).all():
-        raise ValueError(f"{what} holds NaN or infinite values")
+        raise InputError(f"{what} holds NaN or infinite values")
 
 
 def read_output(
@@ -161,6 +173,7 @@ def load(run: str | Path, device: DeviceName = "auto") -> Predictor:
     folder = Path(run)
     config = read_config(folder)
     chosen = choose_device(device)
-    network = config.network()
-    load_weights(folder, network)
-    return Predictor(config, network.to(chosen), chosen)
+    with plain_memory_errors():
+        network = config.network()
+        load_weights(folder, network)
+        return Predictor(config, network.to(chosen), chosen)

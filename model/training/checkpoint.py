@@ -17,9 +17,20 @@ KEYS = frozenset({"network", "optimisation", "best", "position", "history", "win
 
 
 def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
-    """Write ``checkpoint.pt``; `state` has the keys KEYS and contains tensors, numbers and text only."""
+    """Write ``checkpoint.pt``; `state` has the keys KEYS and contains tensors, numbers and text only.
+
+    Raises
+    ------
+    RunError : the file cannot be written.
+    """
     with whole_file(folder / "checkpoint.pt") as partial:
-        torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
+        try:
+            torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
+        except RuntimeError as error:  # PyTorch has no other for a full disk
+            reason = str(error).splitlines()[0]
+            raise RunError(
+                f"{folder / 'checkpoint.pt'} cannot be written ({reason}): is the disk full?"
+            ) from None
 
 
 def load_checkpoint(folder: Path) -> dict[str, Any] | None:

@@ -12,6 +12,7 @@ import torch
 
 from model.data.channel_scaling import fit_input_spec
 from model.data.shards import Shards, open_shards
+from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
 from model.run_folder import (
     EpochRecord,
@@ -29,7 +30,13 @@ from model.training.epoch import save_if_due, train_epoch, validate
 from model.training.interruption import Interruption
 from model.training.log import TrainingLog
 from model.training.processes import joined_processes
-from model.training.refusals import TrainingError, naming_memory, refuse_empty_splits, refuse_start
+from model.training.refusals import (
+    TrainingError,
+    naming_compiler,
+    naming_memory,
+    refuse_empty_splits,
+    refuse_start,
+)
 from model.training.state import TrainingState
 from scenegen import Dataset
 from scenegen.progress import showing_progress
@@ -99,7 +106,7 @@ def train(
             raise RunError(
                 f"{out} cannot be resumed: {change}; use the run's own settings or start a new run"
             )
-        with naming_memory(config):
+        with naming_memory(config), naming_compiler():
             state = TrainingState(config, shards, processes, memory_bytes)
             checkpoint = load_checkpoint(out) if resume else None
             if checkpoint:
@@ -120,7 +127,7 @@ def _configure(
             if before
             else fit_input_spec(settings.channels, shards, shards.rows("train"), settings.frequencies_hz)
         )
-    except ValueError as error:
+    except ChannelError as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
     return RunConfig(
         settings=settings,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,8 +13,17 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from model.device import choose_device
+from model.device import DeviceError, choose_device
 from model.settings import DeviceName
+from scenegen import NightError
+
+# Gloo's threads release the tensors of the last sum a little after it is done, and need the interpreter for
+# that. An interpreter that ends before that aborts the process, so it waits.
+_GLOO_WAIT_S = 0.1
+
+
+class ProcessError(NightError):
+    """The processes of a run have lost each other."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,8 @@ def joined_processes(device_name: DeviceName) -> Iterator[Processes]:
 
     Raises
     ------
-    DeviceError : the device does not exist.
+    DeviceError : the device does not exist, or this machine has more processes than GPUs.
+    ProcessError : the processes cannot connect, or one of the others has ended.
     """
     device = choose_device(device_name)
     count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -113,11 +124,35 @@ def joined_processes(device_name: DeviceName) -> Iterator[Processes]:
         yield Processes(device)
         return
     if device.type == "cuda":
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-        torch.cuda.set_device(device)
-    # The timeout is long because the others wait while the first one builds shards.
-    distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=timedelta(hours=6))
+        device = _own_gpu()
+    _connect("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Processes(device, distributed.get_rank(), count)
+    except RuntimeError as error:  # Gloo has no exception of its own
+        if not isinstance(error, distributed.DistError) and "gloo" not in str(error):
+            raise
+        raise ProcessError("another process of this training has ended: see what it printed") from None
     finally:
         distributed.destroy_process_group()
+        time.sleep(_GLOO_WAIT_S)
+
+
+def _own_gpu() -> torch.device:
+    """The GPU of this process's local rank."""
+    rank, count = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
+    if rank >= count:
+        raise DeviceError(f"every process needs a GPU of its own: give torchrun --nproc-per-node {count}")
+    device = torch.device("cuda", rank)
+    torch.cuda.set_device(device)
+    return device
+
+
+def _connect(backend: str) -> None:
+    """Join the process group; the timeout is long because the others wait while the first builds shards."""
+    try:
+        distributed.init_process_group(backend, timeout=timedelta(hours=6))
+    except (RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise ProcessError(
+            f"the processes of this training cannot connect ({reason}): start them with torchrun"
+        ) from None

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import torch
-
 from model.data.shards import Shards
+from model.device import plain_memory_errors
 from model.run_folder import RunConfig, RunError
 from scenegen import Dataset, NightError, is_partial
 
@@ -54,15 +53,27 @@ def _is_free(out: Path) -> bool:
 
 
 @contextmanager
+def naming_compiler() -> Iterator[None]:
+    """Turn the exceptions of `torch.compile` into a `TrainingError`."""
+    try:
+        yield
+    except RuntimeError as error:
+        # Importing the exceptions' module would take seconds.
+        if not type(error).__module__.startswith(("torch._dynamo", "torch._inductor")):
+            raise
+        reason = str(error).strip().splitlines()[0]
+        raise TrainingError(
+            f"the network cannot be compiled ({reason}): install a C++ compiler, or train with --no-compile"
+        ) from None
+
+
+@contextmanager
 def naming_memory(config: RunConfig) -> Iterator[None]:
     """Turn the out-of-memory exceptions of PyTorch and numpy into a `TrainingError`."""
     try:
-        yield
-    except (RuntimeError, MemoryError) as error:
-        # On the CPU, PyTorch raises a plain RuntimeError.
-        ours = isinstance(error, torch.OutOfMemoryError | MemoryError) or "alloc_cpu.cpp" in str(error)
-        if not ours:
-            raise
+        with plain_memory_errors():
+            yield
+    except MemoryError:
         raise TrainingError(
             f"out of memory with batch size {config.settings.batch_size} and width {config.settings.width} "
             f"at {config.image_width}x{config.image_height} pixels: make the batch or the width smaller"

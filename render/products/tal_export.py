@@ -5,6 +5,9 @@ Source: ``NLOSCaptureData`` in y-tal 0.20 (https://github.com/diegoroyo/tal), fi
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +68,7 @@ def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
     scene = dataset.scene(scene_id)
     with open_transient(dataset, scene_id) as reader:
         fields = _geometry(scene, reader.layout)
-        with exported_file(out) as partial, h5py.File(partial, "w") as file:
+        with exported_file(out) as partial, _hdf5_file(partial) as file:
             for name, value in fields.items():
                 file[name] = value
             for name, members, chosen in (
@@ -81,6 +84,45 @@ def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
             file["t_accounts_first_and_last_bounces"] = True
             file["scene_info"] = _scene_info(dataset, scene, reader)
             _write_bins(file, reader)
+
+
+class _PatientFile(io.FileIO):
+    """A new file whose writes never fail; `error` is the first that did.
+
+    The HDF5 library crashes the process when a write fails, as on a full disk.
+    """
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of `data`."""
+        rest = memoryview(data).cast("B")
+        try:
+            while rest and self.error is None:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.error = error
+        return memoryview(data).nbytes
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+
+@contextmanager
+def _hdf5_file(path: Path) -> Iterator[h5py.File]:
+    """A new HDF5 file; `OSError` at the end if it could not be written."""
+    import h5py
+
+    with _PatientFile(path, "w+") as stream:
+        with h5py.File(stream, "w") as file:
+            yield file
+        if stream.error:
+            raise stream.error
 
 
 def _write_bins(file: h5py.File, reader: TransientReader) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import repeat
 from multiprocessing import get_context
@@ -19,7 +20,7 @@ from render.products.content_checks import (
     wrong_transient,
     wrong_truth,
 )
-from render.settings import read_recipe, scene_sha256
+from render.settings import RenderError, read_recipe, scene_sha256
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,
@@ -123,7 +124,7 @@ def verify_scene(dataset: Dataset, scene_id: str) -> list[str]:
         for name in TRANSIENT_FILES:
             if name in record.files:
                 problems += wrong_transient(folder / name, image, (height, width))
-    except (ValueError, KeyError, TypeError, OSError) as error:
+    except (ValueError, LookupError, TypeError, OSError) as error:
         problems.append(" ".join(str(error).split()) or type(error).__name__)
     return problems
 
@@ -133,9 +134,14 @@ def _checked(dataset: Dataset, scenes: Sequence[str], workers: int) -> Iterator[
         for scene_id in scenes:
             yield scene_id, verify_scene(dataset, scene_id)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        answers = pool.map(_verify_in, repeat(str(dataset.root)), scenes, chunksize=4)
-        yield from zip(scenes, answers, strict=True)
+    try:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            answers = pool.map(_verify_in, repeat(str(dataset.root)), scenes, chunksize=4)
+            yield from zip(scenes, answers, strict=True)
+    except BrokenProcessPool:
+        raise RenderError(
+            "a worker process was killed, perhaps because memory ran out: try fewer --workers"
+        ) from None
 
 
 _opened: dict[str, Dataset] = {}  # of this worker process

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import radians
 from pathlib import Path
 
@@ -183,8 +183,17 @@ def _rendered(stage: bpy.types.Scene, width: int, height: int) -> NDArray[np.uin
     with tempfile.TemporaryDirectory() as folder, silenced(STDOUT), silenced(STDERR):
         settings.filepath = str(Path(folder) / "picture.png")
         bpy.ops.render.render(write_still=True, scene=stage.name)
-        image = bpy.data.images.load(settings.filepath)
+        image = _written(settings.filepath)
         pixels = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(pixels)  # sRGB as in the file, lowest row first
     flipped = pixels.reshape(height, width, -1)[::-1, :, :3]
     return np.round(255 * flipped).astype(np.uint8)
+
+
+def _written(file: str) -> bpy.types.Image:
+    """The picture that Blender wrote; `OSError` if there is none, which Blender does not report."""
+    with suppress(RuntimeError):  # no such file
+        image = bpy.data.images.load(file)
+        if image.channels > 0:
+            return image
+    raise OSError(f"Blender could not write {file}: is the disk full?")

@@ -11,14 +11,25 @@ import tempfile
 from functools import cache
 
 from scenegen.chatter import silenced
+from scenegen.night_error import NightError
+
+
+class BlenderError(NightError):
+    """Blender does not work on this machine."""
+
 
 STDOUT, STDERR = 1, 2  # Blender's C code prints to these file descriptors
 
 # Blender writes settings into the home folder unless this variable names another one; it is read at import.
 _SETTINGS = tempfile.TemporaryDirectory(prefix="night-blender-")
 os.environ.setdefault("BLENDER_USER_RESOURCES", _SETTINGS.name)
-with silenced(STDOUT):
-    import bpy
+try:
+    with silenced(STDOUT):
+        import bpy
+except ImportError as error:
+    raise BlenderError(
+        f"Blender cannot be loaded ({error}): install the system libraries of .ci/system_libraries"
+    ) from None
 with silenced(STDOUT):  # bpy makes these modules available
     import bmesh
     from mathutils import Matrix

@@ -1,0 +1,127 @@
+"""Options that several commands have, and those that are made of settings."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import re
+from collections.abc import Callable
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+
+import click
+
+from model.settings import training_fields
+from scenegen import Dataset
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+_Command = TypeVar("_Command", bound=Callable[..., None])
+
+
+class Place(click.Path):
+    """A file or folder whose name is UTF-8: Mitsuba, safetensors and PyTorch take no other."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path; whether there is anything is for the command to say."""
+        try:
+            os.fspath(value).encode()
+        except UnicodeEncodeError:
+            self.fail(f"the name {value!r} is not UTF-8", param, ctx)
+        return Path(value)
+
+
+FOLDER = Place()
+
+
+class Megahertz(click.ParamType):
+    """``20,62.5``: modulation frequencies in MHz, as Hz in ascending order, each once."""
+
+    name = "MHZ,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Exact to the last digit: 0.1 MHz are 100000 Hz."""
+        try:
+            frequencies_hz = sorted({float(Decimal(number).scaleb(6)) for number in value.split(",")})
+        except (ArithmeticError, ValueError):
+            self.fail(f"{value!r} is no list of frequencies; write it like 20,62.5", param, ctx)
+        if not all(0 < frequency_hz < math.inf for frequency_hz in frequencies_hz):
+            self.fail(f"{value!r}: a frequency is a number of MHz above 0", param, ctx)
+        return tuple(frequencies_hz)
+
+
+class Size(click.ParamType):
+    """``160x120``: width and height in pixels."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Width and height; what fits the camera is for the dataset to say."""
+        match = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,9})", value)
+        if match is None:
+            self.fail(f"{value!r} is no image size; write it like 160x120", param, ctx)
+        return int(match[1]), int(match[2])
+
+
+def options(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
+    """Several options as one decorator, in their order."""
+    return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
+
+
+def _option_type(field: FieldInfo) -> click.ParamType:
+    """The type of the option of a setting, with its bounds."""
+    if get_origin(field.annotation) is Literal:
+        return click.Choice(get_args(field.annotation))
+    if field.annotation is bool:
+        return click.BOOL
+    if field.annotation not in (int, float):
+        return Megahertz()
+    names = ("ge", "gt", "le", "lt")
+    bounds = {name: getattr(item, name) for item in field.metadata for name in names if hasattr(item, name)}
+    kind = click.IntRange if field.annotation is int else click.FloatRange
+    return kind(
+        min=bounds.get("ge", bounds.get("gt")),
+        max=bounds.get("le", bounds.get("lt")),
+        min_open="gt" in bounds,
+        max_open="lt" in bounds,
+    )
+
+
+def _training_option(name: str, field: FieldInfo) -> Callable[[_Command], _Command]:
+    """The option of a training setting; not given, it is None."""
+    flag = name.removesuffix("_hz").replace("_", "-")
+    words = f"--{flag}/--no-{flag}" if field.annotation is bool else f"--{flag}"
+    return click.option(name, words, type=_option_type(field), default=None, help=field.description)
+
+
+def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
+    """The scenes that are named, each once, or all."""
+    return [dataset.entry(scene_id).id for scene_id in dict.fromkeys(only)] or dataset.ids()
+
+
+TRAINING = options(*(_training_option(name, field) for name, field in training_fields().items()))
+DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
+DEVICES = click.Choice(["auto", "cpu", "cuda"])
+DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)
+ONLY = click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
+RENDER_SETTINGS = options(
+    click.option("--method", help="many-light (the default), or path: slower, for any scene at all."),
+    click.option(
+        "--product",
+        type=click.Choice(["itof", "transient", "both"]),
+        help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
+    ),
+    click.option("--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
+    click.option("--lights", type=click.IntRange(min=1), help="many-light: surface points, not --error."),
+    click.option(
+        "--spp",
+        type=click.IntRange(min=1),
+        help="path: paths per pixel (4096); the hidden signal's error is 10 to 15 / sqrt(spp).",
+    ),
+    click.option("--max-bounces", type=click.IntRange(min=1), help="Instead of the preset's."),
+    click.option("--device", type=DEVICES, help=DEVICE_HELP),
+    click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
+)

@@ -1,0 +1,85 @@
+"""Runs of ``night-render``: how to start, to watch and to disturb them, and what they leave."""
+
+import subprocess
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+
+import psutil
+import pytest
+from night_commands import words
+
+from scenegen import sha256_of
+
+SETTINGS = ["--error", "0.05", "--device", "cpu"]  # of the shared renders (tests/conftest.py)
+
+
+def start_render(data, *arguments, **options):
+    """The command with these settings as a process of its own, with local workers unless told otherwise."""
+    return subprocess.Popen(
+        words("night-render", data, *SETTINGS, *arguments),
+        **options,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def results(data):
+    """Hash of everything a run leaves but its log, its locks and the hashes it remembers."""
+    files = [data / "dataset.json", data / "renders/rendering.json", *sorted(data.glob("renders/[0-9]*/*"))]
+    return {file.relative_to(data).as_posix(): sha256_of(file) for file in files}
+
+
+def run_log(data):
+    return (data / "renders" / "night-render.log").read_text()
+
+
+def workers_of(process):
+    """The processes of a command that render (not those that only keep count of resources)."""
+    try:
+        found = psutil.Process(process.pid).children(recursive=True)
+        return [child for child in found if "spawn_main" in " ".join(child.cmdline())]
+    except psutil.NoSuchProcess:
+        return []
+
+
+def claim_of(data, scene_id):
+    """The file that counts attempts at a scene while it is being rendered."""
+    return data / "renders" / ".claims" / scene_id
+
+
+def begun(claim, attempt=1):
+    """Whether a worker is at its first, second, ... attempt at a scene."""
+    try:
+        return claim.read_text().endswith(f": {attempt}}}")
+    except FileNotFoundError:
+        return False
+
+
+def worker_at(process, claim):
+    """The worker process that has a scene claimed."""
+    for worker in workers_of(process):
+        with suppress(psutil.NoSuchProcess):
+            if any(file.path == str(claim) for file in worker.open_files()):
+                return worker
+    return pytest.fail(f"no worker has {claim}")
+
+
+def wait_for(condition, seconds=90):
+    """Wait for something to happen; the limit only keeps a broken test from hanging."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return
+        time.sleep(0.01)
+    pytest.fail("it did not happen")
+
+
+@contextmanager
+def meanwhile(action):
+    """Do something in another thread while the block runs; its error is raised after the block."""
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(action)
+        yield
+        future.result()

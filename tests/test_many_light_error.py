@@ -1,0 +1,163 @@
+"""The error of many lights: how fast it falls, and that the estimate of it is right."""
+
+import functools
+
+import numpy as np
+import pytest
+from many_light_scenes import FREQUENCIES_HZ, SHAPES, SMALL, measure, relative
+from small_patch import CORNER, patch_phasors
+
+from render.options import ManyLightOptions
+from render.transport.many_light import ManyLight
+from render.transport.method import View
+
+SEEDS = range(8)
+
+
+@pytest.fixture(scope="module")
+def unpiloted(variant):
+    """Hidden phasors of a fixed number of lights, without the pilot that estimates their error."""
+
+    def measured(scene, lights, seed):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ManyLight, "_count_and_error", lambda *_: (lights, 0.0))
+            return measure(scene, variant, lights=lights, seed=seed, layout=SMALL).hidden
+
+    return measured
+
+
+# A patch, whose hidden phasors are known by quadrature
+
+
+@pytest.fixture(scope="module")
+def patch(variant, tmp_path_factory):
+    return CORNER.load(tmp_path_factory.mktemp("patch"))
+
+
+@pytest.fixture(scope="module")
+def patch_rms(patch, unpiloted):
+    """lights -> root mean square over seeds of the true error at the highest frequency."""
+
+    @functools.cache
+    def rms(lights):
+        exact = patch_phasors(SMALL)
+        return rms_of([relative(unpiloted(patch, lights, seed), exact)[-1] for seed in SEEDS])
+
+    return rms
+
+
+def rms_of(values):
+    return np.sqrt(np.mean(np.square(values), axis=0))
+
+
+def check_estimate(reported, true):
+    """Estimates agree with the true error within a factor of two."""
+    # Eight runs know an rms to 1/sqrt(16) = 25 %, four pilots of three degrees of freedom to 20 %:
+    # 30 % together.
+    assert 0.5 / 1.3 < rms_of(reported) / true < 2 * 1.3
+
+
+def check_wanted(scene, exact, rms_of_256, variant):
+    """A wanted error is met, without many more lights than it needs."""
+    wanted = 0.01
+    view = View(SMALL, FREQUENCIES_HZ, 3, 1)
+    exposure = ManyLight(ManyLightOptions(error=wanted), variant).expose(scene, view)
+    image = exposure.phasors()
+    assert image.error <= wanted
+    # One run lies within two of its sigmas, and the estimate within a factor of two.
+    assert relative(image.hidden, exact)[-1] < 2 * 2 * wanted
+    # What 1/sqrt(N) needs from 256 lights on, times the factor of two in the estimate (squared) and the
+    # search's step of four. A light for each side of a surface.
+    needed = 256 * max((rms_of_256 / wanted) ** 2, 1)
+    assert len(exposure.lights) <= 2 * 4 * 4 * needed
+
+
+def test_the_reported_error_of_a_patch_is_its_true_error_within_a_factor_of_two(patch, patch_rms, variant):
+    reported = [measure(patch, variant, lights=256, seed=seed, layout=SMALL).error for seed in range(4)]
+    check_estimate(reported, patch_rms(256))
+
+
+def test_a_wanted_error_of_a_patch_is_met_without_more_lights_than_it_needs(patch, patch_rms, variant):
+    check_wanted(patch, patch_phasors(SMALL), patch_rms(256), variant)
+
+
+def test_any_number_of_lights_can_be_asked_for(patch, variant):
+    # Not only powers of two; every warning is an error here.
+    image = measure(patch, variant, lights=300, layout=SMALL)
+    assert relative(image.hidden, patch_phasors(SMALL))[-1] < 3 * image.error
+
+
+# Objects with shadow edges, against many more lights
+
+
+@pytest.fixture(scope="module")
+def reference(four_shapes, unpiloted):
+    """Hidden phasors of 4 x 8192 lights: by the rates below a ninth of the error of 1024 lights or less."""
+
+    @functools.cache
+    def average(name):
+        return np.mean([unpiloted(four_shapes[name], 8192, seed) for seed in range(100, 104)], axis=0)
+
+    return average
+
+
+@pytest.fixture(scope="module")
+def true_rms(four_shapes, reference, unpiloted):
+    """(scene, lights) -> (F,) root mean square over seeds of the true error."""
+
+    @functools.cache
+    def rms(name, lights):
+        errors = [relative(unpiloted(four_shapes[name], lights, seed), reference(name)) for seed in SEEDS]
+        return rms_of(errors)
+
+    return rms
+
+
+def test_sixteen_times_the_lights_have_less_than_a_quarter_of_the_error(four_shapes, unpiloted):
+    cube = four_shapes["cube"]
+    # By N^-3/4 the mean of 4 x 2048 lights has 0.3 of the error of 1024, which adds 4 % to that.
+    exact = np.mean([unpiloted(cube, 2048, seed) for seed in range(100, 104)], axis=0)
+    few, many = (
+        rms_of([relative(unpiloted(cube, lights, seed), exact) for seed in SEEDS]) for lights in (64, 1024)
+    )
+    # 1/sqrt(N) is a factor of 4, N^-3/4 of 8; the two rms values of eight runs scatter by 35 % together.
+    assert np.all(few / many > 4 * 1.35)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["sphere", "cube"])
+def test_the_error_falls_faster_than_one_over_the_root_of_the_lights(true_rms, name):
+    counts = [64, 128, 256, 512, 1024]
+    rms = np.array([true_rms(name, count) for count in counts])  # (N, F)
+    rates = -np.polyfit(np.log(counts), np.log(rms), 1)[0]
+    # Sobol points on a surface with shadow edges: N^-3/4, up to N^-1 where the integrand is smooth. Eight
+    # runs know an rms to 1/sqrt(16), and five doublings the exponent to 0.25 / (ln 2 sqrt(10)) = 0.11:
+    # one over the root would be below 0.7 in 97 % of such fits.
+    assert np.all(rates > 0.7)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["concave_plane", "composite"])
+def test_the_error_of_64_lights_is_more_than_six_times_that_of_2048(true_rms, name):
+    # 1/sqrt(N) is a factor of 5.7, N^-3/4 of 13; the two rms values of eight runs scatter by 35 %.
+    assert np.all(true_rms(name, 64) / true_rms(name, 2048) > 6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lights", [256, 1024])
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_reported_error_is_the_true_error_within_a_factor_of_two(
+    four_shapes, true_rms, variant, name, lights
+):
+    reported = [
+        measure(four_shapes[name], variant, lights=lights, seed=seed, layout=SMALL).error for seed in range(4)
+    ]
+    check_estimate(reported, true_rms(name, lights)[-1])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_wanted_error_is_met_without_more_lights_than_it_needs(
+    four_shapes, reference, true_rms, variant, name
+):
+    check_wanted(four_shapes[name], reference(name), true_rms(name, 256)[-1], variant)

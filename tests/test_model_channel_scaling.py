@@ -1,0 +1,38 @@
+"""Constants of the network's input channels, fitted on the training scenes."""
+
+import numpy as np
+import pytest
+
+from model.data.channel_scaling import fit_input_spec
+from model.data.shards import open_shards
+
+
+@pytest.fixture(scope="module")
+def shards(closed_form_scenes):
+    return open_shards(closed_form_scenes)
+
+
+@pytest.mark.parametrize(("channels", "count"), [("paper", 7), ("residual", 5), ("paper+residual", 12)])
+def test_input_channels_are_scaled_by_the_training_scenes(shards, channels, count):
+    rows = shards.rows("train")
+    spec = fit_input_spec(channels, shards, rows)
+    network_input = spec.apply(shards.complex_phasors(rows), shards.reference)  # (N, C, H, W)
+    assert spec.channel_count == count == network_input.shape[1]
+    if "paper" in channels:
+        assert network_input[:, 0].mean() == pytest.approx(1, rel=1e-5)
+        np.testing.assert_allclose(np.hypot(network_input[:, 1], network_input[:, 4]), 1, rtol=1e-6)
+    if "residual" in channels:
+        np.testing.assert_allclose(network_input[:, -5:].std(axis=(0, 2, 3)), 1, rtol=1e-3)
+
+
+def test_channels_of_some_of_the_frequencies_are_scaled_by_them_alone(shards):
+    rows = shards.rows("train")
+    spec = fit_input_spec("paper+residual", shards, rows, [50e6, 60e6])
+    places = spec.places(shards.manifest.frequencies_hz)
+    assert places == [1, 2]
+    network_input = spec.apply(shards.complex_phasors(rows)[..., places], shards.reference[..., places])
+    assert spec.channel_count == 5 + 3 == network_input.shape[1]
+    assert network_input[:, 0].mean() == pytest.approx(1, rel=1e-5)  # the amplitude at 50 MHz
+    np.testing.assert_allclose(network_input[:, -3:].std(axis=(0, 2, 3)), 1, rtol=1e-3)
+    with pytest.raises(ValueError, match="10 MHz is not among 20, 50, 60 MHz"):
+        fit_input_spec("paper", shards, rows, [10e6])

@@ -1,0 +1,95 @@
+"""The dataset card: its numbers, its snippet of code, its licence."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+from previews import grey_view
+
+from render.products.card import CardError, checked_licence, dataset_card, read_card
+from render.products.distributions import ratio_sentence, read_distributions
+from render.products.preview import write_preview
+from scenegen import RenderingRecord, open_dataset, write_rendering_record
+
+
+def test_the_cards_numbers_are_the_datasets(corners):
+    rendering = RenderingRecord(
+        method="many-light",
+        product="itof",
+        max_bounces=3,
+        options={"lights": 64, "error": 0.01, "spp": None},
+        width=24,
+        height=18,
+        packages={"mitsuba": "3.9.9"},
+        scene_count=3,
+        hidden_error_median=0.0123,
+        hidden_error_max=0.0456,
+    )
+    write_rendering_record(corners.renders, rendering)
+    dataset = open_dataset(corners.root)
+    found = read_distributions(dataset, lambda: None)
+    card = dataset_card(dataset, found, None)
+    assert card.startswith("# corners\n")
+    assert "9 synthetic look-behind-a-corner scenes, 3 of them rendered" in card
+    for name in sorted({entry.object_class for entry in dataset.index.scenes}):
+        members = [entry.split for entry in dataset.index.scenes if entry.object_class == name]
+        counts = [members.count(split) for split in ("train", "validation", "test")]
+        assert f"| {name} | {counts[0]} | {counts[1]} | {counts[2]} | {len(members)} |" in card
+    assert "24 x 18 pixels asked for, 24 x 18 rendered" in card
+    assert "1400 bins of 0.01 m" in card
+    assert "median 1.23%, at most 4.56%" in card
+    assert "method many-light (lights 64, error 0.01), product itof" in card
+    assert "mitsuba 3.9.9" in card
+    assert ratio_sentence(found) in card
+    size = sum(f.stat().st_size for f in (corners.root / "renders").rglob("*") if f.is_file())
+    unit = 1000 if size < 999_500 else 1_000_000
+    assert f"renders {size / unit:.3g} {'kB' if unit == 1000 else 'MB'}" in card
+    assert "preset key `transient.bin_count` | `1400`" in card
+    assert "preset key `dataset.seed` | `3`" in card
+    assert "No licence has been chosen yet" in card
+    assert str(corners.root.parent) not in card
+    assert not re.search(r"\s/\w", card)  # no absolute path
+
+
+def test_the_cards_snippet_runs_in_the_datasets_folder(corners):
+    card = dataset_card(corners, read_distributions(corners, lambda: None), None)
+    snippet = re.search(r"```python\n(.*?)```", card, re.DOTALL)[1]
+    check = "\nassert z.shape == (18, 24, 3) and wall_depth_m.shape == hidden_depth_m.shape == (18, 24)"
+    command = [sys.executable, "-c", snippet + check]
+    done = subprocess.run(command, cwd=corners.root, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# The third would end the comment that holds it.
+@pytest.mark.parametrize("licence", ["CC BY 4.0", "CC-BY-SA 4.0 | ours", "a --> b -- c"])
+def test_a_licence_is_read_from_the_card_that_names_it(corners, licence):
+    card = dataset_card(corners, read_distributions(corners, lambda: None), licence)
+    assert f"## Licence\n\n{licence}\n" in card
+    assert len(re.findall("-->", card.split("## Licence")[0])) == 1
+    (corners.root / "README.md").write_text(card)
+    assert read_card(corners).licence == licence
+
+
+def test_a_licence_is_kept_until_another_is_given(corners):
+    card = dataset_card(corners, read_distributions(corners, lambda: None), "CC BY 4.0")
+    (corners.root / "README.md").write_text(card)
+    write_preview(corners, ["000002"], grey_view)
+    assert (corners.root / "README.md").read_text() == card
+    write_preview(corners, ["000002"], grey_view, "a --> b -- c")
+    assert read_card(corners).licence == "a --> b -- c"
+    with pytest.raises(CardError, match="name of a licence"):
+        checked_licence(" ")
+
+
+@pytest.mark.parametrize("text", ["# My notes\n", ""])
+def test_a_readme_of_somebody_else_is_recognised(corners, text):
+    (corners.root / "README.md").write_text(text)
+    assert not read_card(corners).is_ours
+
+
+def test_a_readme_of_somebody_else_is_kept(corners):
+    (corners.root / "README.md").write_text("")
+    written = write_preview(corners, ["000000"], grey_view, "CC BY 4.0")
+    assert (corners.root / "README.md").read_text() == ""
+    assert [file.name for file in written] == ["contact_sheet.png", "distributions.png"]

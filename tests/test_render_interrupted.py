@@ -1,0 +1,160 @@
+"""Runs that are disturbed: killed, interrupted, without scheduler, disk or dataset; the files stay right.
+
+Real commands and real worker processes; the results are compared with those of one undisturbed run.
+"""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import psutil
+import pytest
+from dask_processes import dask_processes
+from night_commands import night, night_here
+from render_runs import (
+    SETTINGS,
+    begun,
+    claim_of,
+    meanwhile,
+    results,
+    start_render,
+    wait_for,
+    workers_of,
+)
+
+from render.farm.claims import claimed
+from scenegen import read_record
+
+
+def kill_with_workers(process):
+    """Kill a command; its workers must end too, and not render on unseen by the next command."""
+    workers = workers_of(process)
+    process.kill()
+    psutil.wait_procs(workers, timeout=30)
+    assert not any(worker.is_running() for worker in workers)
+    process.communicate()
+
+
+def test_a_killed_command_leaves_what_an_undisturbed_one_does(three_missing, seven_renders, render_here):
+    process = start_render(three_missing)
+    wait_for(lambda: begun(claim_of(three_missing, "000005")))  # so 000004 is done
+    kill_with_workers(process)
+    done = render_here(three_missing)
+    assert done.returncode == 0, done.stderr
+    assert re.match("[12] scenes rendered", done.stdout)  # 000005 may have been finished before the kill
+    assert results(three_missing) == results(seven_renders)
+    assert not list(three_missing.glob("renders/[0-9]*/.*"))
+
+
+@pytest.mark.long
+def test_a_command_killed_ten_times_at_random_leaves_what_an_undisturbed_one_does(unrendered, seven_renders):
+    started = time.monotonic()
+    assert night("night-render", unrendered, *SETTINGS).returncode == 0
+    seconds = time.monotonic() - started
+    shutil.rmtree(unrendered / "renders")
+    moments = np.random.default_rng(4)
+    killed = 0
+    while killed < 10:
+        process = start_render(unrendered)
+        try:
+            process.wait(moments.uniform(0.2, 0.9) * seconds)
+            process.communicate()
+            shutil.rmtree(unrendered / "renders")  # it was faster than the signal: begin anew
+        except subprocess.TimeoutExpired:
+            kill_with_workers(process)
+            killed += 1
+    done = night("night-render", unrendered, *SETTINGS)
+    assert done.returncode == 0, done.stderr
+    assert results(unrendered) == results(seven_renders)
+    assert not list(unrendered.glob("renders/[0-9]*/.*"))
+
+
+def test_ctrl_c_ends_the_command_and_its_workers_with_one_word(three_missing, seven_renders, render_here):
+    process = start_render(three_missing, "--workers", "2", start_new_session=True)
+    wait_for(lambda: all(begun(claim_of(three_missing, scene)) for scene in ("000004", "000005")))
+    workers = workers_of(process)
+    assert len(workers) == 2
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert errors.endswith("interrupted\n")
+    assert not any(worker.is_running() for worker in workers)
+    assert render_here(three_missing).returncode == 0
+    assert results(three_missing) == results(seven_renders)
+
+
+def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(
+    three_missing, seven_renders, render_here, tmp_path
+):
+    with dask_processes(tmp_path, ["--no-nanny", "--nthreads", "1"]) as (address, scheduler):
+
+        def kill_the_scheduler():
+            wait_for(lambda: begun(claim_of(three_missing, "000004")))
+            scheduler.kill()
+
+        with meanwhile(kill_the_scheduler):
+            done = night_here("night-render", three_missing, "--scheduler", address)
+    assert done.returncode == 2
+    assert "connection to the Dask scheduler was lost" in done.stderr
+    assert render_here(three_missing).returncode == 0
+    assert results(three_missing) == results(seven_renders)
+
+
+def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(three_missing, render_here):
+    def delete():
+        wait_for((three_missing / "renders" / "000004" / "render.json").exists)
+        three_missing.rename(three_missing.with_name("gone"))
+
+    # No worker is in the middle of a scene when the folder goes: it would make that scene's folder again.
+    renders = three_missing / "renders"
+    with claimed(renders, "000005"), claimed(renders, "000006"), meanwhile(delete):
+        done = render_here(three_missing)
+    assert done.returncode == 2
+    assert "is no dataset" in done.stderr
+    assert not three_missing.exists()
+
+
+@contextmanager
+def small_disk(folder):
+    """A tmpfs mounted on `folder`; yields a function that sets its size in bytes."""
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", folder], capture_output=True, check=False)
+    if mounted.returncode != 0:
+        pytest.skip("mounting a small disk needs root")
+    try:
+        yield lambda size: subprocess.run(
+            ["mount", "-o", f"remount,size={size}", folder], check=True, capture_output=True
+        )
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True, capture_output=True)
+
+
+def test_a_full_disk_stops_the_run_and_what_is_done_stays(
+    three_missing, seven_renders, render_here, tmp_path
+):
+    with small_disk(tmp_path / "disk") as resize:
+        data = shutil.copytree(three_missing, tmp_path / "disk" / "data")
+        used = shutil.disk_usage(data).used
+        resize(used + 700_000)  # a scene takes 480 kB
+        refused = render_here(data)
+        assert refused.returncode == 2
+        assert "3 scenes need about" in refused.stderr
+        assert "--product itof needs" in refused.stderr
+        assert "1 scenes fit" in refused.stderr
+        assert not (data / "renders" / "000004").exists()
+        full = render_here(data, "--ignore-space")
+        assert full.returncode == 2
+        assert "no space left for scene" in full.stderr.splitlines()[-1]
+        assert not list(data.glob("renders/*/failure.json"))
+        whole = [read_record(folder) for folder in data.glob("renders/0*") if any(folder.iterdir())]
+        assert len([record for record in whole if record is not None]) < 7
+        resize(used + 10_000_000)
+        done = render_here(data)
+        assert done.returncode == 0, done.stderr
+        assert results(data) == results(seven_renders)

@@ -1,0 +1,141 @@
+"""Workers: how many there are, where they come from, and what it costs when one dies, grows or is slow.
+
+Real commands and real worker processes; the results are compared with those of one undisturbed run.
+"""
+
+import re
+import shutil
+import signal
+import time
+
+import pytest
+from night_commands import night, night_here
+from render_runs import (
+    SETTINGS,
+    begun,
+    claim_of,
+    results,
+    run_log,
+    start_render,
+    wait_for,
+    worker_at,
+    workers_of,
+)
+
+from render.farm.run import RunOptions, render_dataset
+from render.options import ManyLightOptions
+from render.settings import RenderSettings
+from scenegen import open_dataset, read_failure
+
+
+def workers_in(log):
+    """The processes that rendered scenes, by the log of a run."""
+    return set(re.findall(r"rendered in .* on (\S+)", log))
+
+
+def test_all_workers_of_a_scheduler_render(seven_renders):
+    assert len(workers_in(run_log(seven_renders))) == 2
+
+
+def test_workers_that_grow_make_way_for_fresh_ones_and_render_the_same(three_missing, seven_renders):
+    dataset = open_dataset(three_missing)
+    settings = RenderSettings(product="both", options=ManyLightOptions(error=0.05), device="cpu")
+    # One local worker. No growth allowed: it is replaced when it is larger than after its first scene.
+    options = RunOptions(workers=1, growth_bytes=0, progress=False)
+    result = render_dataset(dataset, settings, dataset.ids(), options, lambda _: None)
+    assert result.failures == {}
+    assert results(three_missing) == results(seven_renders)
+    assert len(workers_in(run_log(three_missing))) > 1
+    assert " failed on " not in run_log(three_missing)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_renders, workers):
+    done = night("night-render", unrendered, *SETTINGS, "--workers", workers)
+    assert done.returncode == 0, done.stderr
+    assert results(unrendered) == results(seven_renders)
+    assert len(workers_in(run_log(unrendered))) == workers
+
+
+def test_a_scheduler_that_is_not_there_is_named(unrendered, monkeypatch):
+    monkeypatch.setattr("render.farm.clusters._CONNECT_S", 1)
+    done = night_here("night-render", unrendered, "--scheduler", "tcp://127.0.0.1:9")
+    assert done.returncode == 2
+    assert "Error: no Dask scheduler answers at tcp://127.0.0.1:9" in done.stderr
+
+
+# Workers that die
+
+
+@pytest.fixture(scope="module")
+def after_deaths(seven_renders, tmp_path_factory):
+    """A run whose worker was killed twice in scene 000004 and once in 000005; its folder, code and output."""
+    data = tmp_path_factory.mktemp("deaths") / "data"
+    shutil.copytree(seven_renders, data, ignore=shutil.ignore_patterns("*.log"))
+    for scene_id in ("000004", "000005", "000006"):
+        shutil.rmtree(data / "renders" / scene_id)
+    process = start_render(data, "--workers", "2")
+    first, second = (claim_of(data, scene_id) for scene_id in ("000004", "000005"))
+    wait_for(lambda: begun(first) and begun(second))
+    for worker in workers_of(process):
+        worker.send_signal(signal.SIGKILL)
+    wait_for(lambda: begun(first, attempt=2))
+    worker_at(process, first).send_signal(signal.SIGKILL)
+    output, errors = process.communicate()
+    return data, process.returncode, output, errors
+
+
+def test_a_worker_killed_in_a_scene_costs_one_retry_of_that_scene(after_deaths, seven_renders):
+    data = after_deaths[0]
+    failures = [line for line in run_log(data).splitlines() if "000005 failed on" in line]
+    assert len(failures) == 1
+    assert "once more" in failures[0]
+    files = results(data)
+    of_scene = {name for name in files if name.startswith("renders/000005/")}
+    assert len(of_scene) == 5
+    assert {name: files[name] for name in of_scene} == {
+        name: results(seven_renders)[name] for name in of_scene
+    }
+
+
+def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
+    after_deaths, seven_renders, render_here, tmp_path
+):
+    found, code, output, errors = after_deaths
+    assert code == 1, errors
+    assert output.startswith("2 scenes rendered, 4 were there")
+    assert "scene 000004: its worker process died" in errors
+    failure = read_failure(found / "renders" / "000004")
+    assert failure is not None
+    assert failure.attempts == 2
+    assert "died" in failure.reason
+    assert (found / "renders" / "000004" / "failure.log").read_text()
+
+    data = shutil.copytree(found, tmp_path / "data")
+    status = night_here("night-render", "status", data).stdout
+    assert "7 scenes: 6 done, 0 running, 1 failed, 0 missing" in status
+    assert "failed: 000004: its worker process died" in status
+    again = render_here(data)
+    assert again.returncode == 1
+    assert again.stdout.startswith("0 scenes rendered, 6 were there")
+    assert "1 scenes failed earlier" in again.stderr
+    healed = render_here(data, "--retry-failed")
+    assert healed.returncode == 0, healed.stderr
+    assert results(data) == results(seven_renders)
+
+
+@pytest.mark.long
+def test_a_worker_that_is_slow_to_come_back_is_waited_for(three_missing):
+    process = start_render(three_missing)
+    claim = claim_of(three_missing, "000005")
+    wait_for(lambda: begun(claim))
+    worker_at(process, claim).send_signal(signal.SIGKILL)
+    wait_for(lambda: workers_of(process))
+    (fresh,) = workers_of(process)
+    fresh.suspend()
+    time.sleep(20)  # by default Dask would stop waiting for it after 15
+    fresh.resume()
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert output.startswith("3 scenes rendered, 4 were there")
