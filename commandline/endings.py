@@ -2,7 +2,8 @@
 
 Exit code 0: all is well. 1: some scenes failed or are bad. 2: something is wrong with the input, the machine
 or the disk, and one sentence on stderr says what. 70: a defect of NIGHT, with a traceback. 130 and 143: after
-Ctrl-C and SIGTERM. With ``NIGHT_TRACEBACK=1`` a refusal shows where it came from.
+Ctrl-C and SIGTERM. With ``NIGHT_TRACEBACK=1`` a refusal shows where it came from. A command whose output
+nobody reads any more, as in ``| head``, ends silently with 1.
 """
 
 from __future__ import annotations

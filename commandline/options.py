@@ -15,6 +15,7 @@ import click
 
 from model.settings import training_fields
 from scenegen import Dataset
+from scenegen.preset import MOST_BOUNCES
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -107,6 +108,7 @@ DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
 DEVICES = click.Choice(["auto", "cpu", "cuda"])
 DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)
 ONLY = click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
+COUNT = click.IntRange(1, 1_000_000_000)  # of what is computed one by one: more takes for ever
 RENDER_SETTINGS = options(
     click.option("--method", help="many-light (the default), or path: slower, for any scene at all."),
     click.option(
@@ -115,13 +117,13 @@ RENDER_SETTINGS = options(
         help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
     ),
     click.option("--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
-    click.option("--lights", type=click.IntRange(min=1), help="many-light: surface points, not --error."),
+    click.option("--lights", type=COUNT, help="many-light: surface points, not --error."),
     click.option(
         "--spp",
-        type=click.IntRange(min=1),
+        type=COUNT,
         help="path: paths per pixel (4096); the hidden signal's error is 10 to 15 / sqrt(spp).",
     ),
-    click.option("--max-bounces", type=click.IntRange(min=1), help="Instead of the preset's."),
+    click.option("--max-bounces", type=click.IntRange(1, MOST_BOUNCES), help="Instead of the preset's."),
     click.option("--device", type=DEVICES, help=DEVICE_HELP),
     click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
 )

@@ -194,7 +194,7 @@ def open_dataset(root: Path) -> Dataset:
         raise DatasetError(
             f"{root} is not a NIGHT dataset (it has no dataset.json): make one with night-gen scenes"
         ) from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # also numbers too long, and lists too deep
         raise DatasetError(f"{file} cannot be read as JSON: {error}") from None
     schema = data.get("schema_version") if isinstance(data, dict) else None
     if schema not in DATASET_SCHEMAS:

@@ -30,6 +30,7 @@ from scenegen.preset_files import PresetError, read_settings
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
 Material = Literal["rough", "diffuse"]
+MOST_BOUNCES = 64  # surfaces that light may meet on its way
 MAX_SCANLINE_VALUES = 2**31  # OpenEXR counts a scanline's values (image width x bins) in 32 bits
 
 
@@ -175,7 +176,7 @@ class TransientSettings:
     bin_count: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
     bin_width_m: Length = 0.01
     start_opl_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
-    max_bounces: Annotated[int, Field(ge=1, le=64)] = 3
+    max_bounces: Annotated[int, Field(ge=1, le=MOST_BOUNCES)] = 3
 
 
 @dataclass(frozen=True, config=STRICT)

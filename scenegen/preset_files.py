@@ -38,7 +38,7 @@ def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
         raise PresetError(
             f"no preset {name_or_file}: give a .toml file or one of {', '.join(sorted(named))}"
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+    except (ValueError, RecursionError, OSError) as error:  # also numbers too long, and tables too deep
         raise PresetError(f"{file} cannot be read as TOML: {error}") from None
 
 

@@ -1,4 +1,4 @@
-"""Augmentation against doing it by hand, alike in input and truth."""
+"""Augmentation gives the same as its formulas in numpy, and moves input and truth together."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ def warp(*, rows: bool = False, columns: bool = False, angle_rad: float = 0.0, s
 
 
 def assert_each(result: Batch, batch: Batch, change, *, atol: float) -> None:
-    """`change` done by hand to input and every truth gives the result; truth must match to the bit."""
+    """The result is `change` of the input and of every ground truth; the ground truth to the bit."""
     torch.testing.assert_close(result.channels, change(batch.channels), rtol=0, atol=atol)
     for name in ("target", "radial_depth_m", "mask"):
         assert torch.equal(getattr(result, name), change(getattr(batch, name))), name
@@ -144,7 +144,7 @@ def test_a_shift_by_whole_pixels_moves_truth_over_background_and_repeats_the_inp
 
 
 def test_input_and_truth_move_together_under_every_kind_of_warp():
-    # A smooth blob in the input, the same blob thresholded as truth: after any warp its centre must agree.
+    # A smooth blob is the input, and the thresholded blob the truth: any warp gives both the same centre.
     y, x = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
     blob = torch.exp(-((x - 36) ** 2 + (y - 20) ** 2) / 30).repeat(6, 1, 1)  # (6, H, W)
     mask = (blob > 0.5).float()
@@ -154,7 +154,7 @@ def test_input_and_truth_move_together_under_every_kind_of_warp():
     assert torch.equal(result.radial_depth_m, 2 * result.mask)
     for channel, moved in zip(result.channels[:, 0], result.mask, strict=True):
         inside = channel > 0.5
-        # nearest and bilinear may disagree on the one-pixel rim of a disc of radius 4.6: 29 of 66 pixels
+        # nearest and bilinear may differ on the outline of a disc of radius 4.6 pixels: 29 of its 66 pixels
         assert torch.count_nonzero(inside != (moved > 0)) <= 29
         centres = [(a * g).sum() / a.sum() for a in (inside.float(), moved) for g in (x, y)]
         assert abs(centres[0] - centres[2]) < 0.5
@@ -188,7 +188,7 @@ def test_sensor_noise_has_its_deviation_on_every_component_and_is_each_images_ow
     # The deviation of n = 12000 values has a relative error of 1 / sqrt(2 n) = 0.65 %; 4.5 of those.
     torch.testing.assert_close(relative.std(dim=(0, 1, 2)), torch.full((2, 2), sigma), rtol=0.03, atol=0)
     assert abs(float((relative[0] * relative[1]).mean())) < 4.5 * sigma**2 / (4 * HEIGHT * WIDTH) ** 0.5
-    # An image's noise does not depend on the others of its batch.
+    # The noise of an image does not depend on the other images of the batch.
     alone = Augmentation(noise_sigma=sigma).measured(phasor[7:8], draws[7:8])
     assert torch.equal(alone[0], (phasor + noise)[7])
 

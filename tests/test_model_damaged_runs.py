@@ -1,4 +1,4 @@
-"""Run folders that are missing, damaged, of another program or malicious: one sentence, and no code runs."""
+"""Missing, damaged, foreign and malicious run folders are refused in one sentence; no code in them runs."""
 
 import io
 import json

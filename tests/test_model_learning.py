@@ -1,4 +1,4 @@
-"""Networks learn what the measurement says: with every choice there is, and as well as stated."""
+"""Networks learn from the measurement: with every setting, and to a stated accuracy."""
 
 import csv
 import json

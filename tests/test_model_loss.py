@@ -1,4 +1,4 @@
-"""Loss and readout against numbers worked out by hand, and gradients that can leave every corner."""
+"""Loss and readout give the numbers computed by hand, and gradients that lead away from every bad output."""
 
 import math
 
@@ -55,7 +55,7 @@ def test_the_components_loss_of_a_hand_made_prediction():
     missed = float(target[0, :, 0, 0].abs().sum()) / 2
     weight = (1 / 7) * 4 / 2  # alpha |B| / |O|
     mean_absolute = weight * missed / 6 + 0.7 / 6  # sums over object and background, over all six pixels
-    iou = 1 / 3  # one of three pixels that either calls object
+    iou = 1 / 3  # one of the three pixels in the union
     loss = NightLoss(READOUT)(output, target, depth_m, mask)
     assert float(loss) == pytest.approx((mean_absolute + 1 - iou) / 2, rel=1e-6)
 
@@ -92,7 +92,7 @@ def test_the_ablations_of_a_hand_made_prediction(on):
         on_object, on_background = (np.mean([x**power for x in part]) for part in (missed, false))
         return (weight * on_object + on_background) / 6
 
-    no_overlap = 1 - 1 / 3  # one of three pixels that either calls object
+    no_overlap = 1 - 1 / 3  # one of the three pixels in the union
     expected = {
         "mae": error(1),
         "mse": error(2),
@@ -125,7 +125,7 @@ def test_the_loss_of_a_batch_is_the_mean_of_its_images():
 def test_descent_leaves_the_prediction_of_nothing_and_finds_the_object(variant):
     target, depth_m, mask = truth(one_object().repeat(2, 1, 1))
     output = 1e-3 * torch.randn(target.shape, generator=torch.Generator().manual_seed(2))
-    output[0] = 0  # one image exactly nothing, one almost
+    output[0] = 0  # one image is exactly 0, the other nearly
     loss = NightLoss(READOUT, on=variant)
     output.requires_grad_()
     step = 0.5
@@ -134,8 +134,8 @@ def test_descent_leaves_the_prediction_of_nothing_and_finds_the_object(variant):
         output.data -= step * gradient
     predicted = output.detach()
     assert torch.equal(READOUT.mask(predicted), mask)
-    # The last steps jump across the truth: step * (alpha |B| / |O|) / 6 pixels / 2 terms / 2 images times the
-    # error's slope of at most 1.2 m / rad is below 0.02 in phase, 2.4 cm.
+    # The last steps go back and forth across the truth: step * (alpha |B| / |O|) / 6 pixels / 2 terms / 2 images
+    # times the error's slope of at most 1.2 m / rad is below 0.02 in phase, 2.4 cm.
     assert (READOUT.radial_depth_m(predicted) - depth_m).abs().max() < 0.024
 
 

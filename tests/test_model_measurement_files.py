@@ -52,7 +52,7 @@ def with_nan(phasors):
 
 
 def damaged_header(path, phasors):
-    """An archive whose array's header lost its brace."""
+    """An archive with an array whose header lacks its closing brace."""
     write_npz(path, phasors=phasors)
     with zipfile.ZipFile(path) as archive:
         contents = {name: archive.read(name) for name in archive.namelist()}

@@ -1,4 +1,4 @@
-"""Metrics against numbers worked out by hand, and against scikit-learn and torchmetrics."""
+"""Metrics give the numbers computed by hand, and those of scikit-learn and torchmetrics."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_images_of_other_sizes_and_nan_are_refused():
 
 
 def random_images(kind, seed):
-    """Depth and mask (H, W) of prediction and truth, at QVGA's aspect ratio but no multiple of anything."""
+    """Depth and mask (H, W) of prediction and truth; both sides of the images are prime numbers."""
     rng = np.random.default_rng(seed)
     shares = {"both": (0.2, 0.3), "no prediction": (0, 0.3), "no truth": (0.2, 0), "neither": (0, 0)}[kind]
     views = []

@@ -1,4 +1,4 @@
-"""The learning rate's course, clipping, half floats and averaged weights against what they are by hand."""
+"""Learning rate, clipping, half floats and averaged weights agree with their definitions."""
 
 import math
 
@@ -40,7 +40,7 @@ def test_the_rate_warms_up_linearly_and_falls_as_half_a_cosine():
     assert rates[:12] == pytest.approx([1e-2 * (step + 1) / 12 for step in range(12)])
     assert rates[12] == pytest.approx(1e-2)
     assert rates[12 * 6] == pytest.approx(0.5e-2)  # half way from 1 to 11
-    assert rates[12 + 40] == pytest.approx(0.75e-2)  # a third of it: cos 60 degrees
+    assert rates[12 + 40] == pytest.approx(0.75e-2)  # a third of the way: cos 60 degrees
     assert rates[-2] > 0  # the last step
     assert rates[-1] == pytest.approx(0, abs=1e-12)
     assert learning_rate(both, 10_000, 12) == pytest.approx(0, abs=1e-12)
@@ -59,7 +59,7 @@ def test_the_first_step_of_adam_is_one_learning_rate_long_in_every_weight():
     # m / sqrt(v) is g / |g| after bias correction; eps matters where |g| is near 1e-8.
     expected = 1e-2 / 10  # the first of ten warm-up steps
     gradient = torch.cat([p.grad.flatten() for p in net.parameters()]).abs()
-    seen = gradient > 1e-5  # 1000 eps; weights behind dead units have none at all
+    seen = gradient > 1e-5  # 1000 eps; weights behind dead units have no gradient
     assert int(seen.sum()) > 20
     torch.testing.assert_close(moved[seen], torch.full_like(moved[seen], expected), rtol=2e-3, atol=0)
     assert float(moved.max()) < expected * 1.002
@@ -105,7 +105,7 @@ def test_half_floats_leave_the_first_block_and_the_head_alone(precision):
     assert seen == {"first": torch.float32, "second": number, "head": torch.float32}
     with torch.no_grad():
         exact = net(images)
-    # Some twenty roundings of half a unit in the last of 8 or 11 bits.
+    # About twenty layers, each of which rounds by half a unit in the last of 8 or 11 bits.
     bits = {"bfloat16": 8, "float16": 11}[precision]
     assert float((half - exact).norm() / exact.norm()) < 20 * 2.0 ** -(bits + 1)
     assert not torch.equal(half, exact)

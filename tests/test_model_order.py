@@ -1,4 +1,4 @@
-"""The order of an epoch, and that batches from memory and from the disk hold what they should."""
+"""The order of an epoch, and batches from memory and from the disk."""
 
 from itertools import pairwise
 
@@ -59,14 +59,14 @@ def test_rows_are_mixed_within_a_window_and_pieces_between_windows():
     assert len(places) == 200
     assert abs(np.mean(places) - 0.5) < 4 / np.sqrt(12 * 200)
     # In a random order of n rows, sum_p n_p (n_p - 1) / n of the n - 1 pairs of neighbours share a piece
-    # (n_p rows of piece p): about a quarter here, and 9 of 10 where nothing is mixed.
+    # (n_p rows of piece p): a quarter here; without mixing it would be 9 of 10.
     windows = [window for windows in epochs for window in windows]
     shared = sum(a // PIECE == b // PIECE for window in windows for a, b in pairwise(window))
     counts = [[len(piece) for piece in rows_by_piece(window, PIECE)] for window in windows]
     expected = sum(n_p * (n_p - 1) / sum(count) for count in counts for n_p in count)
     # The variance of a count of pairs is below its mean: 5 standard deviations.
     assert abs(shared - expected) < 5 * np.sqrt(expected)
-    # Every piece comes together with every other at some time.
+    # Each pair of pieces shares a window in some epoch.
     together = {frozenset((a // PIECE, b // PIECE)) for ws in epochs for w in ws for a in w for b in w}
     assert len(together) == 15 * 14 / 2 + 15  # unordered pairs of 15 pieces, and each with itself
 
@@ -92,7 +92,7 @@ def test_batches_hold_the_rows_in_the_order_wanted_across_windows(shards, window
     feed = Feed(shards, rows, window)
     assert feed.is_resident == (window == 1000)
     shuffled = flat(shuffled_windows(rows, 3, window, generator()))
-    for _ in range(2):  # what is held is held for the next epoch too
+    for _ in range(2):  # rows that stay in memory are used again in the next epoch
         for expected, batches in (
             (rows, list(feed.in_order(batch_size))),
             (shuffled, list(feed.shuffled(batch_size, generator()))),

@@ -1,4 +1,4 @@
-"""Prediction on measurement files: the same numbers by every way in, and folders that are kept."""
+"""Prediction on measurement files: every format gives the same numbers; other files are kept."""
 
 import json
 import shutil
@@ -157,7 +157,7 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
     predict(seeing_run, write_npz(tmp_path / "two.npz", phasors=phasors[:2]), tmp_path / "out")
     predict(seeing_run, exr, tmp_path / "out")
     assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000000", "prediction"}
-    # A measurement that was put beside it is not ours to delete, whatever its name.
+    # A measurement in the folder of the prediction is kept, whatever its name.
     shutil.copy(exr, tmp_path / "out" / "000001.exr")
     (tmp_path / "file").write_text("mine")
     for out in (tmp_path / "out", seeing_run, closed_form_scenes.root, exr.parent):

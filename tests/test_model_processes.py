@@ -1,4 +1,4 @@
-"""Training in several processes, and processes that are asked to stop: real ones, real signals."""
+"""Training in several processes, and processes that get a signal to stop."""
 
 import json
 import os
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
 TORCHRUN = (sys.executable, *("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"))
 COURSE = FLIP | {"width": 4, "batch_size": 4}
-ENDLESS = 400  # epochs; minutes, of which a test waits for the first
+ENDLESS = 400  # epochs, of which a test waits for the first
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batc
     assert start(dataset, two, launcher=TORCHRUN, **changes).wait() == 0, errors_of(two).read_text()
     train(dataset, tmp_path / "one", settings(**COURSE | changes))
     begin = settings(**COURSE | changes | {"learning_rate": 1e-30, "max_epochs": 1})
-    train(dataset, tmp_path / "begin", begin)  # its weights are those before the first step, to float32
+    train(dataset, tmp_path / "begin", begin)  # its steps are too small to change the initial weights
     first, one, two = (checkpoint(tmp_path / name) for name in ("begin", "one", "two"))
     for name, weight in one["network"].items():
         way = float((weight - first["network"][name]).norm())

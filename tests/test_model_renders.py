@@ -47,7 +47,7 @@ def test_a_render_that_is_not_the_recorded_one_is_refused_and_one_without_record
     refused = r"scene 000001: .*mirrored.exr is not the file that night-render wrote.*run night-render"
     with pytest.raises(ShardError, match=refused):
         open_shards(dataset)
-    path.write_bytes(b"no image")  # what is wrong can be said better than that
+    path.write_bytes(b"no image")  # then the message is about the damage
     with pytest.raises(ImageFileError, match="damaged or no EXR"):
         open_shards(dataset)
 

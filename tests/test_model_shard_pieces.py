@@ -1,4 +1,4 @@
-"""Pieces of shards are used again while they are fresh, and alone made again when they are not."""
+"""Pieces of shards are used again; those whose renders changed, and only those, are built again."""
 
 import json
 import logging
@@ -31,13 +31,13 @@ def pairs(dataset, monkeypatch):
 
 
 def inodes(dataset) -> dict[str, int]:
-    """Which file each file of the shards is; one that was written again is another."""
+    """Inode of each file of the shards; a file that is written again gets another one."""
     files = sorted(dataset.shard_folder.glob("*/*"))
     return {str(file.relative_to(dataset.shard_folder)): file.stat().st_ino for file in files}
 
 
 def rewritten(before: dict[str, int], after: dict[str, int]) -> set[str]:
-    """Pieces whose files are other files now; a piece is rewritten whole or not at all."""
+    """Pieces that were written again; a piece is written whole or not at all."""
     changed = {name for name, inode in after.items() if before.get(name) != inode}
     pieces = {name.split("/")[0] for name in changed}
     assert changed == {name for name in after if name.split("/")[0] in pieces}
@@ -177,7 +177,7 @@ def test_files_of_the_same_size_time_and_inode_are_not_read_again(pairs, caplog)
     array = pairs.shard_folder / "000002" / "mask.npy"
     long_ago_ns = 1_600_000_000_000_000_000
     for file in (*pairs.root.glob("renders/*/*"), *pairs.shard_folder.rglob("*.npy")):
-        os.utime(file, ns=(long_ago_ns, long_ago_ns))  # files just written would be read again for safety
+        os.utime(file, ns=(long_ago_ns, long_ago_ns))  # files younger than 2 s are always read again
     open_shards(pairs)
     for file in (render, array):
         content = bytearray(file.read_bytes())
@@ -188,7 +188,7 @@ def test_files_of_the_same_size_time_and_inode_are_not_read_again(pairs, caplog)
     caplog.set_level(logging.INFO)
     open_shards(pairs)
     assert caplog.text == ""
-    # Without the memory of their hashes they are read, and both are noticed.
+    # Without the file of hashes both are read, and the changes are noticed.
     (pairs.root / ".hashes.json").unlink()
     open_shards(pairs)
     assert "building 2 of 3 pieces" in caplog.text

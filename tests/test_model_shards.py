@@ -34,7 +34,7 @@ def test_shards_hold_every_scene_as_it_was_rendered(dataset, monkeypatch, piece_
         assert np.array_equal(block.radial_depth_m[place], truth.channel("depth.R"))
         assert np.array_equal(block.mask[place], truth.channel("mask.M"))
         assert shards.manifest.frequencies_hz == frequencies_hz
-        # A row alone is sought in its piece, all of them are read with it.
+        # The same scene, read alone.
         assert np.array_equal(shards.read([row]).phasors[0], block.phasors[place])
     splits = [shards.rows(split) for split in ("train", "validation", "test")]
     assert sorted(row for rows in splits for row in rows) == list(range(6))

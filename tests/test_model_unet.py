@@ -1,4 +1,4 @@
-"""The network: size, any image, symmetry of its padding, and the ability to learn."""
+"""The network: number of parameters, image sizes, padding, initial weights, and the ability to learn."""
 
 import math
 
@@ -33,7 +33,7 @@ def test_any_channel_count_and_image_size_gives_two_components_of_the_same_size(
 
 
 def test_padding_changes_nothing_where_the_receptive_field_does_not_reach_it():
-    # Repeating the edge by hand up to the same multiple of 16 is what forward must do, evenly on both sides.
+    # forward repeats the edge, evenly on both sides, up to a multiple of 16.
     network = UNet(2, 4, generator=seeded()).double()
     image = torch.randn(1, 2, 30, 44, generator=seeded()).double()
     by_hand = torch.nn.functional.pad(image, (2, 2, 1, 1), mode="replicate")

@@ -2,12 +2,12 @@
 
 import dataclasses
 
-import bpy
 import numpy as np
 import pytest
 from previews import orange
 
 from scenegen import sample_scene
+from scenegen.making.blender_start import bpy
 
 SIZE = (144, 108)  # of the view: a small object still covers 30 pixels
 

@@ -130,12 +130,12 @@ def verify_scene(dataset: Dataset, scene_id: str) -> list[str]:
 
 
 def _checked(dataset: Dataset, scenes: Sequence[str], workers: int) -> Iterator[tuple[str, list[str]]]:
-    if workers <= 1:
+    if min(workers, len(scenes)) <= 1:
         for scene_id in scenes:
             yield scene_id, verify_scene(dataset, scene_id)
         return
     try:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(min(workers, len(scenes)), mp_context=get_context("spawn")) as pool:
             answers = pool.map(_verify_in, repeat(str(dataset.root)), scenes, chunksize=4)
             yield from zip(scenes, answers, strict=True)
     except BrokenProcessPool:
