@@ -134,8 +134,8 @@ def test_descent_leaves_the_prediction_of_nothing_and_finds_the_object(variant):
         output.data -= step * gradient
     predicted = output.detach()
     assert torch.equal(READOUT.mask(predicted), mask)
-    # The last steps go back and forth across the truth: step * (alpha |B| / |O|) / 6 pixels / 2 terms / 2 images
-    # times the error's slope of at most 1.2 m / rad is below 0.02 in phase, 2.4 cm.
+    # The last steps go back and forth across the truth: step * (alpha |B| / |O|) / 6 pixels / 2 terms /
+    # 2 images times the error's slope of at most 1.2 m / rad is below 0.02 in phase, 2.4 cm.
     assert (READOUT.radial_depth_m(predicted) - depth_m).abs().max() < 0.024
 
 
