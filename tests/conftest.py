@@ -63,7 +63,7 @@ def seven_scenes(make_dataset):
 
 
 @pytest.fixture(scope="session")
-def seven_renders(seven_scenes, render_here, tmp_path_factory):
+def seven_renders(render_here, seven_scenes, tmp_path_factory):
     """Folder of these scenes, rendered by one undisturbed command; for reading only."""
     data = tmp_path_factory.mktemp("seven") / "data"
     shutil.copytree(seven_scenes, data)

@@ -22,7 +22,9 @@ def dask_processes(folder, *workers):
     Address of the scheduler, and its process.
     """
     announced = folder / "scheduler.json"
-    running = [_dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", announced)]
+    # Idle for an hour, it closes with its workers: should the tests be killed, nothing stays.
+    options = ["--host", "127.0.0.1", "--port", "0", "--idle-timeout", "1 hour"]
+    running = [_dask("scheduler", *options, "--scheduler-file", announced)]
     try:
         address = _address(running[0], announced)
         running += [_dask("worker", address, "--local-directory", folder, *options) for options in workers]

@@ -218,7 +218,7 @@ def test_a_mesh_of_82k_triangles_gives_the_signal_of_the_same_surface_in_few(var
     assert len(fine.faces) == 81920
     images = [
         measure(
-            Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=4096, layout=SMALL
+            Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=2048, layout=SMALL
         )
         for mesh in (coarse, fine)
     ]

@@ -15,6 +15,14 @@ from scenegen import open_dataset
 from scenegen.making.meshes import read_meshes
 
 
+@pytest.fixture
+def small_pictures(monkeypatch):
+    """Pictures of a quarter of the pixels, which Blender renders faster."""
+    for module in ("preview", "contact_sheet"):
+        monkeypatch.setattr(f"render.products.{module}.PICTURE_SIZE", (144, 108))
+
+
+@pytest.mark.usefixtures("small_pictures")
 def test_the_command_leaves_scenes_renders_and_night_gen_alone(corners):
     before = contents(corners.root)
     (corners.root / "README.md").write_text("mine")
@@ -70,6 +78,7 @@ def test_what_cannot_be_previewed_is_refused(corners, tmp_path):
 # Meshes of the user's own
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_users_mesh_is_drawn_from_the_scenes_own_files(tmp_path):
     source = trimesh.creation.annulus(r_min=0.2, r_max=0.6, height=1.0, sections=24)
     source.export(tmp_path / "ring.ply")

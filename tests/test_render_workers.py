@@ -78,6 +78,7 @@ def after_deaths(seven_renders, tmp_path_factory):
     process = start_render(data, "--workers", "2")
     first, second = (claim_of(data, scene_id) for scene_id in ("000004", "000005"))
     wait_for(lambda: begun(first) and begun(second))
+    assert len(workers_of(process)) == 2
     for worker in workers_of(process):
         worker.send_signal(signal.SIGKILL)
     wait_for(lambda: begun(first, attempt=2))
