@@ -31,9 +31,9 @@ except ImportError as error:
     raise BlenderError(
         f"Blender cannot be loaded ({error}): install the system libraries of .ci/system_libraries"
     ) from None
-# Blender's own clean-up at the end of a process can wait forever: it destroys a condition variable on which one
-# of its threads still waits. C calls the handler that is registered last first. This one leaves at once, with
-# the exit status; Python has run its own exit handlers and flushed its files before.
+# Blender's own clean-up at the end of a process can wait forever: it destroys a condition variable on which
+# one of its threads still waits. C calls the handler that is registered last first. This one leaves at once,
+# with the exit status; Python has run its own exit handlers and flushed its files before.
 _LIBC = ctypes.CDLL(None)
 _LIBC.on_exit(_LIBC._exit, None)
 with silenced(STDOUT):  # bpy makes these modules available
