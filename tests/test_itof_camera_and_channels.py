@@ -161,7 +161,7 @@ def test_a_millimetre_of_wrong_wall_shows_in_im_as_its_phase_and_in_re_to_second
     np.testing.assert_allclose(np.moveaxis(residual[:3], 0, -1), phase_error, rtol=2e-5)
     assert np.abs(phase_error[3, 4]).round(4).tolist() == [0.0008, 0.0021, 0.0025]
     first = phase_error[..., :1]
-    second_order = (first**2 - phase_error[..., 1:] ** 2) / 2  # cos e_f - cos e_0, no path length
+    second_order = (first**2 - phase_error[..., 1:] ** 2) / 2  # cos e_f - cos e_0
     np.testing.assert_allclose(np.moveaxis(residual[3:], 0, -1), second_order, rtol=1e-2, atol=1e-8)
     # With hidden light: its own part of Re changes by its size times the phase, 1e-3 of it.
     z = right + hidden_light(right)
