@@ -106,6 +106,7 @@ def test_a_dry_run_prints_the_plan_and_changes_nothing(pipeline_copy):
     before = tree(data)
     done = night_here("night-render", data, "--dry-run", "--device", "cpu")
     assert done.returncode == 0, done.stderr
+    assert (done.stdout + done.stderr).count("plan: ") == 1
     assert done.stdout.startswith("plan: 1 scenes at 24x18, many-light, product both\ndisk: ")
     assert tree(data) == before
     for unrendered in (False, True):  # also where no folder of renders is there

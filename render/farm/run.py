@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +79,9 @@ def render_dataset(
         whole = set(scenes) == set(dataset.ids())
         result = RunResult(0, len(found.done), skipped_failures=found.skipped)
         if found.todo:
-            _announce(dataset, settings, found, options, say)
+            for sentence in _plan(dataset, settings, found, options):
+                say(sentence)
+                log.info(sentence)
             note_rendering(dataset, settings, whole, finished=False)
             try:
                 tally = _work(dataset, settings, found.todo, options)
@@ -119,7 +121,8 @@ def plan_run(
     with joined_run(dataset.renders, recipe) if dataset.renders.is_dir() else nullcontext():
         found = _look(dataset, settings, scenes, options)
         if found.todo:
-            _announce(dataset, settings, found, options, say)
+            for sentence in _plan(dataset, settings, found, options):
+                say(sentence)
         else:
             say(f"nothing to render: {len(found.done)} scenes are rendered, {found.skipped} failed earlier")
 
@@ -144,18 +147,10 @@ def _look(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str], opt
     )
 
 
-def _announce(
-    dataset: Dataset,
-    settings: RenderSettings,
-    found: _Found,
-    options: RunOptions,
-    say: Callable[[str], object],
-) -> None:
-    """Say the plan; `RenderError` if it does not fit the disk."""
+def _plan(dataset: Dataset, settings: RenderSettings, found: _Found, options: RunOptions) -> Iterator[str]:
+    """The sentences of the plan; then `RenderError` if it does not fit the disk."""
     plan = make_plan(dataset, settings, found.todo, found.done)
-    for sentence in plan.sentences():
-        say(sentence)
-        log.info(sentence)
+    yield from plan.sentences()
     refusal = plan.refusal()
     if refusal and not options.ignore_space:
         raise RenderError(refusal)
