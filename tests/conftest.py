@@ -102,6 +102,25 @@ def closed_form_scenes(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def shards(closed_form_scenes):
+    from model.data.shards import open_shards
+
+    return open_shards(closed_form_scenes)
+
+
+@pytest.fixture(scope="session")
+def phasors(shards):
+    """(3, H, W, F) phasors of the first closed-form scenes."""
+    return shards.complex_phasors([0, 1, 2])
+
+
+@pytest.fixture(scope="session")
+def exr(closed_form_scenes):
+    """Measurement of the first closed-form scene, as a file."""
+    return closed_form_scenes.render_folder(closed_form_scenes.ids()[0]) / "itof.exr"
+
+
+@pytest.fixture(scope="session")
 def finished_run(closed_form_scenes, tmp_path_factory):
     """Run folder of two epochs of `training_runs.settings()` on these scenes; for reading only."""
     from training_runs import train_on_one_thread

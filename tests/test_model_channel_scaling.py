@@ -4,12 +4,6 @@ import numpy as np
 import pytest
 
 from model.data.channel_scaling import fit_input_spec
-from model.data.shards import open_shards
-
-
-@pytest.fixture(scope="module")
-def shards(closed_form_scenes):
-    return open_shards(closed_form_scenes)
 
 
 @pytest.mark.parametrize(("channels", "count"), [("paper", 7), ("residual", 5), ("paper+residual", 12)])

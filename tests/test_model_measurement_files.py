@@ -11,20 +11,8 @@ from measurements import write_h5, write_npz
 from night_commands import refusal
 
 from itof import write_image
-from model.data.shards import open_shards
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module")
-def phasors(closed_form_scenes):
-    """(3, H, W, F) phasors of the first scenes."""
-    return open_shards(closed_form_scenes).complex_phasors([0, 1, 2])
-
-
-@pytest.fixture
-def exr(closed_form_scenes):
-    return closed_form_scenes.render_folder(closed_form_scenes.ids()[0]) / "itof.exr"
 
 
 def bare_array(path, phasors):

@@ -12,28 +12,11 @@ from safetensors.torch import load_file, save_file
 from training_runs import before_each_network, settings
 
 from itof import phase_per_metre, phasor_channels, pixel_rays, read_image, write_image
-from model.data.shards import open_shards
 from model.prediction.prediction_files import PredictionError, predict_file
 from model.prediction.predictor import load
 from model.training.loop import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module")
-def shards(closed_form_scenes):
-    return open_shards(closed_form_scenes)
-
-
-@pytest.fixture(scope="module")
-def phasors(shards):
-    """(3, H, W, F) phasors of the first scenes."""
-    return shards.complex_phasors([0, 1, 2])
-
-
-@pytest.fixture
-def exr(closed_form_scenes):
-    return closed_form_scenes.render_folder(closed_form_scenes.ids()[0]) / "itof.exr"
 
 
 def predict(run, file, out, **options):

@@ -5,7 +5,6 @@ import pytest
 from pydantic import TypeAdapter
 
 from itof import pixel_rays, split_components
-from model.data.shards import open_shards
 from model.network.wall_view import WallView, wall_view
 from model.prediction.predictor import load
 
@@ -15,17 +14,6 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 @pytest.fixture(scope="module")
 def predictor(seeing_run):
     return load(seeing_run, "cpu")
-
-
-@pytest.fixture(scope="module")
-def shards(closed_form_scenes):
-    return open_shards(closed_form_scenes)
-
-
-@pytest.fixture(scope="module")
-def phasors(shards):
-    """(3, H, W, F) phasors of the first scenes."""
-    return shards.complex_phasors([0, 1, 2])
 
 
 def test_the_view_of_the_wall_comes_back_exactly_from_json(closed_form_scenes, predictor):
