@@ -46,7 +46,7 @@ def _ending() -> Iterator[None]:
         if os.environ.get("NIGHT_TRACEBACK"):
             traceback.print_exc()
         raise Refusal(_sentence(error)) from None
-    except Exception:
+    except Exception:  # of any kind: whatever input cannot cause is a defect
         traceback.print_exc()
         click.echo(
             f"This is a defect of NIGHT {version('night-nlos')}: please report it with the text above (see "

@@ -7,7 +7,7 @@ Arrays are numpy, image axes are (..., H, W, F) or (..., H, W, T), lengths are m
 """
 
 from itof.channels import network_channels, phasors_of_channels, phasors_of_residual, residual_channels
-from itof.depth_map import DepthMap
+from itof.depth_map import DEPTH_CHANNEL, MASK_CHANNEL, DepthMap
 from itof.direct import direct_phasors
 from itof.exr import (
     Image,
@@ -34,6 +34,8 @@ from itof.pinhole import pixel_rays, points_from_radial, radial_from_z, z_from_r
 from itof.unwrapping import combined_range_m, unwrap_depth
 
 __all__ = [
+    "DEPTH_CHANNEL",
+    "MASK_CHANNEL",
     "SPEED_OF_LIGHT",
     "DepthMap",
     "Image",

@@ -34,6 +34,7 @@ from scenegen import NightError, whole_file, write_text
 from scenegen.contract import STRICT, Positive, WholeCount, checked
 
 RUN_SCHEMA: Final = 2
+CONFIG_FILE, WEIGHTS_FILE, HISTORY_FILE = "run.json", "best.safetensors", "history.csv"
 
 
 class RunError(NightError):
@@ -92,7 +93,7 @@ class EpochRecord:
 
 def write_config(folder: Path, config: RunConfig) -> None:
     """Write ``run.json``."""
-    write_text(folder / "run.json", TypeAdapter(RunConfig).dump_json(config, indent=2).decode() + "\n")
+    write_text(folder / CONFIG_FILE, TypeAdapter(RunConfig).dump_json(config, indent=2).decode() + "\n")
 
 
 def read_config(folder: Path) -> RunConfig:
@@ -102,7 +103,7 @@ def read_config(folder: Path) -> RunConfig:
     ------
     RunError : the folder is missing or not a run, or ``run.json`` has another schema version or is invalid.
     """
-    file = folder / "run.json"
+    file = folder / CONFIG_FILE
     if not folder.is_dir():
         raise RunError(f"there is no folder {folder}: train a network with night-train")
     try:
@@ -155,11 +156,11 @@ def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
 def save_weights(folder: Path, weights: Mapping[str, Tensor]) -> None:
     """Write ``best.safetensors``; `RunError` if it cannot be written."""
     plain = {name: tensor.cpu().contiguous() for name, tensor in weights.items()}
-    with whole_file(folder / "best.safetensors") as partial:
+    with whole_file(folder / WEIGHTS_FILE) as partial:
         try:
             save_file(plain, partial)
         except SafetensorError as error:
-            raise RunError(f"{folder / 'best.safetensors'} cannot be written: {error}") from None
+            raise RunError(f"{folder / WEIGHTS_FILE} cannot be written: {error}") from None
 
 
 def load_weights(folder: Path, network: UNet) -> None:
@@ -169,7 +170,7 @@ def load_weights(folder: Path, network: UNet) -> None:
     ------
     RunError : the file is missing or damaged, or its weights belong to another architecture.
     """
-    file = folder / "best.safetensors"
+    file = folder / WEIGHTS_FILE
     if not file.is_file():
         raise RunError(
             f"{folder} has no best.safetensors: no epoch was finished; resume it with night-train --resume"
@@ -197,7 +198,7 @@ def fill(network: UNet, weights: Mapping[str, Tensor], file: Path) -> None:
 def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
     """Write ``history.csv``."""
     names = [field.name for field in fields(EpochRecord)]
-    with whole_file(folder / "history.csv") as partial, partial.open("w", newline="") as stream:
+    with whole_file(folder / HISTORY_FILE) as partial, partial.open("w", newline="") as stream:
         table = csv.writer(stream)
         table.writerow(names)
         table.writerows([getattr(record, name) for name in names] for record in history)
@@ -210,7 +211,7 @@ def read_history(run: Path) -> dict[str, list[float]]:
     ------
     RunError : the file is damaged.
     """
-    file = run / "history.csv"
+    file = run / HISTORY_FILE
     try:
         with file.open(encoding="utf-8", newline="") as stream:
             lines = list(csv.DictReader(stream))

@@ -86,7 +86,6 @@ class PathOptions:
 
 MethodOptions = ManyLightOptions | PathOptions
 OPTIONS: dict[str, type[MethodOptions]] = {made.method: made for made in (ManyLightOptions, PathOptions)}
-DEFAULT_METHOD = ManyLightOptions.method
 # A recipe lists the options of both methods, whichever of the two renders. This form must not change, because
 # a scene with another recipe is rendered again. Recipes of a new method list its options in addition.
 _LISTED = {**asdict(PathOptions()), **asdict(ManyLightOptions())}

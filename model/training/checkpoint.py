@@ -13,6 +13,7 @@ import torch
 from model.run_folder import RUN_SCHEMA, RunError
 from scenegen import whole_file
 
+CHECKPOINT_FILE = "checkpoint.pt"
 KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
 
 
@@ -23,13 +24,13 @@ def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
     ------
     RunError : the file cannot be written.
     """
-    with whole_file(folder / "checkpoint.pt") as partial:
+    with whole_file(folder / CHECKPOINT_FILE) as partial:
         try:
             torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
         except RuntimeError as error:  # PyTorch has no other for a full disk
             reason = str(error).splitlines()[0]
             raise RunError(
-                f"{folder / 'checkpoint.pt'} cannot be written ({reason}): is the disk full?"
+                f"{folder / CHECKPOINT_FILE} cannot be written ({reason}): is the disk full?"
             ) from None
 
 
@@ -42,7 +43,7 @@ def load_checkpoint(folder: Path) -> dict[str, Any] | None:
     ------
     RunError : the file is damaged, or it is not a checkpoint of this schema version.
     """
-    file = folder / "checkpoint.pt"
+    file = folder / CHECKPOINT_FILE
     if not file.is_file():
         return None
     try:

@@ -25,7 +25,7 @@ from model.run_folder import (
     write_history,
 )
 from model.settings import TrainSettings
-from model.training.checkpoint import load_checkpoint
+from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from model.training.epoch import save_if_due, train_epoch, validate
 from model.training.interruption import Interruption
 from model.training.log import TrainingLog
@@ -110,7 +110,7 @@ def train(
             state = TrainingState(config, shards, processes, memory_bytes)
             checkpoint = load_checkpoint(out) if resume else None
             if checkpoint:
-                state.restore(checkpoint, out / "checkpoint.pt")
+                state.restore(checkpoint, out / CHECKPOINT_FILE)
             if processes.is_first:
                 write_config(out, config)
             return _run(state, out)

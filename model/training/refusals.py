@@ -8,7 +8,7 @@ from pathlib import Path
 
 from model.data.shards import Shards
 from model.device import plain_memory_errors
-from model.run_folder import RunConfig, RunError
+from model.run_folder import CONFIG_FILE, RunConfig, RunError
 from scenegen import Dataset, NightError, is_partial
 
 
@@ -27,7 +27,7 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
     if not resume and out.exists() and not _is_free(out):
         if not out.is_dir():
             raise RunError(f"{out} is a file: choose another folder for the run")
-        if (out / "run.json").is_file():
+        if (out / CONFIG_FILE).is_file():
             raise RunError(f"{out} exists already: resume it (--resume) or choose another folder")
         raise RunError(f"{out} is not empty and holds no run: choose another folder")
     for split in ("train", "validation"):

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from itof import unambiguous_range_m
+from itof import DEPTH_CHANNEL, MASK_CHANNEL, unambiguous_range_m
 from render.byte_size import size
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, NightError, Preset
@@ -170,15 +170,16 @@ def _reading(dataset: Dataset, found: Distributions) -> str:
 - `scenes/{scene_id}/`: the scene as data, and as Mitsuba 3 files with their meshes
 - `renders/rendering.json`: how the scenes were rendered
 - `renders/{scene_id}/{MEASUREMENT_FILE}`: complex phasors `itof.<f>MHz.Re`, `.Im`
-- `renders/{scene_id}/{GROUND_TRUTH_FILE}`: `depth.R` (radial depth in metres, 0 on background), `mask.M`
+- `renders/{scene_id}/{GROUND_TRUTH_FILE}`: `{DEPTH_CHANNEL}` (radial depth in metres, 0 on background),
+  `{MASK_CHANNEL}`
 - `renders/{scene_id}/{TRANSIENT_FILE}`: the transient, if it was rendered
 
 ```python
-from itof import depth_from_phase, phase, read_image
+from itof import DepthMap, depth_from_phase, phase, read_image
 
 z, frequencies_hz = read_image("renders/{scene_id}/{MEASUREMENT_FILE}").phasors()  # (H, W, F) complex
 wall_depth_m = depth_from_phase(phase(z[..., 0]), frequencies_hz[0])
-hidden_depth_m = read_image("renders/{scene_id}/{GROUND_TRUTH_FILE}").channel("depth.R")  # (H, W)
+hidden_depth_m = DepthMap.read("renders/{scene_id}/{GROUND_TRUTH_FILE}").radial_depth_m  # (H, W)
 ```"""
 
 

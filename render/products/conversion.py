@@ -16,6 +16,7 @@ from itof import TransientReader, phasor_channels, read_image, write_image
 from render.farm.claims import joined_run, noting
 from scenegen import (
     IMAGE_FILES,
+    MEASUREMENT_FILE,
     TRANSIENT_FILE,
     TRANSIENT_FILES,
     Dataset,
@@ -86,7 +87,7 @@ def convert_to_itof(
         written.
     """
     wanted_hz = sorted(set(dataset.preset.itof.frequencies_hz if frequencies_hz is None else frequencies_hz))
-    out = folder / f"{scene_id}_itof.exr"
+    out = folder / f"{scene_id}_{MEASUREMENT_FILE}"
     with open_transient(dataset, scene_id) as reader:
         try:
             phasor = reader.phasors(wanted_hz)  # (H, W, F)

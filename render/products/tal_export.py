@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from itof import TransientLayout, TransientReader, pixel_rays
 from render.products.conversion import ExportError, exported_file, open_transient
-from scenegen import Dataset, Scene, camera_axes, rotation_matrix, wall_normal
+from scenegen import TRANSIENT_FILE, Dataset, Scene, camera_axes, rotation_matrix, wall_normal
 
 if TYPE_CHECKING:
     import h5py
@@ -179,7 +179,7 @@ def _scene_info(dataset: Dataset, scene: Scene, reader: TransientReader) -> str:
     import yaml
 
     info = {
-        "original_format": f"transient.exr of NIGHT {version('night-nlos')}",
+        "original_format": f"{TRANSIENT_FILE} of NIGHT {version('night-nlos')}",
         "scene_id": scene.id,
         "object_class": scene.object_class,
         "split": scene.split,
