@@ -7,19 +7,35 @@ runs. What the commands share is in `commandline`: how they end, and their optio
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from commandline.endings import DefaultGroup, NightCommand, NightGroup, say
-from commandline.options import DEVICE, FOLDER, ONLY, RENDER_SETTINGS, TRAINING, Megahertz, chosen_scenes
-from scenegen import Dataset, Preset, leaks, open_dataset, preset_from_dict, read_settings
+from commandline.confirmation import YES, confirm_deletion
+from commandline.endings import DefaultGroup, NightCommand, NightGroup
+from commandline.options import (
+    DEVICE,
+    FOLDER,
+    FORCE,
+    MASK_THRESHOLD,
+    ONLY,
+    PRESET,
+    RENDER_RUN,
+    RENDER_SETTINGS,
+    RESCALE,
+    TRAINING,
+    Megahertz,
+    chosen_scenes,
+    overridden_preset,
+)
+from commandline.rendering import chosen_run, render_settings
+from commandline.results import JSON, tell
+from commandline.streams import say
+from commandline.training import chosen_settings
+from scenegen import leaks, open_dataset
 from scenegen.progress import showing_progress
-
-if TYPE_CHECKING:
-    from render import RenderSettings
 
 
 @click.group(cls=NightGroup)
@@ -29,7 +45,7 @@ def night_gen() -> None:
 
 @night_gen.command(short_help="Make the scenes of a preset.")
 @click.argument("out", type=FOLDER)
-@click.option("--preset", default="paper", show_default=True, help="Name in data/presets, or a .toml file.")
+@PRESET
 @click.option("--count", type=int, help="Number of scenes instead of the preset's.")
 @click.option("--seed", type=int, help="Seed instead of the preset's.")
 @click.option(
@@ -39,17 +55,24 @@ def night_gen() -> None:
     show_default=True,
     help="Processes that make scenes, 350 MB each; the dataset is the same.",
 )
-def scenes(out: Path, preset: str, count: int | None, seed: int | None, workers: int) -> None:
-    """Make the scenes of a preset in the folder OUT; a larger --count than before adds scenes."""
-    from scenegen.making.generation import check_target, generate
+def scenes(out: Path, preset: str | None, count: int | None, seed: int | None, workers: int) -> None:
+    """Make the scenes of a preset in the folder OUT; a larger --count than before adds scenes.
+
+    Damaged scenes are made again. A dataset in OUT brings its own preset.
+    """
+    from scenegen.making.datasets import blender_maker
+    from scenegen.making.depth_range import refuse_wrapping_depths
+    from scenegen.making.generation import generate
     from scenegen.making.generation_pool import generate_in_processes
     from scenegen.making.meshes import read_meshes
+    from scenegen.making.target import check_target
 
-    settings, preset_folder = _overridden(preset, count, seed)
+    settings, preset_folder = overridden_preset(out, preset, count, seed)
     meshes = read_meshes(settings, preset_folder)
+    refuse_wrapping_depths(settings, meshes)
     hashes = {shape: mesh.sha256 for shape, mesh in meshes.items()}
     check_target(out, settings, hashes)  # before Blender, which takes a second to load
-    make_maker = functools.partial(_blender_maker, meshes)
+    make_maker = functools.partial(blender_maker, meshes)
     with showing_progress(settings.dataset.count, "scene", "scenes") as bar:
         if workers == 1:
             dataset = generate(out, settings, make_maker(), bar.update, meshes=hashes)
@@ -78,34 +101,18 @@ def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | Non
     """Draw a contact sheet and plots of DATASET, and write its card, README.md."""
     from render.products import contact_sheet
     from render.products import preview as preview_files
+    from scenegen.making.datasets import blender_maker
 
     opened = open_dataset(dataset)
     ids = chosen_scenes(opened, only) if only else contact_sheet.choose_scenes(opened, count)
     preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
-    maker = _blender_maker(preview_files.meshes_in(opened))
+    maker = blender_maker(preview_files.meshes_in(opened))
     with showing_progress(len(opened.ids()) + len(ids), "scene", "preview") as bar:
         written = preview_files.write_preview(opened, ids, maker.picture, licence, bar.update)
     for file in written:
         click.echo(f"{file}")
     if dataset / "README.md" not in written:
         say(f"{dataset / 'README.md'} is not ours and was left alone: rename it to get a dataset card")
-
-
-def _overridden(preset: str, count: int | None, seed: int | None) -> tuple[Preset, Path]:
-    """The preset with what the command line gives instead of its own count and seed; its own folder."""
-    data, origin = read_settings("presets", preset)
-    changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
-    table = data.setdefault("dataset", {})
-    if changes and isinstance(table, dict):
-        table.update(changes)
-    return preset_from_dict(data, origin), Path(origin).parent
-
-
-def _blender_maker(meshes: Mapping[str, Any]) -> Any:
-    """Start Blender in this process, one of the command's workers or itself."""
-    from scenegen.making.blender import BlenderMaker
-
-    return BlenderMaker(meshes)
 
 
 @click.group(cls=DefaultGroup, default="render")
@@ -122,28 +129,24 @@ def night_render() -> None:
 @click.argument("dataset", type=FOLDER)
 @RENDER_SETTINGS
 @ONLY
-@click.option("--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs.")
-@click.option("--scheduler", metavar="ADDRESS", help="Render on a Dask cluster, like tcp://host:8786.")
-@click.option("--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file.")
-@click.option("--retry-failed", is_flag=True, help="Try scenes again that failed before.")
-@click.option("--replace", is_flag=True, help="Render scenes again that were rendered with other settings.")
-@click.option("--ignore-space", is_flag=True, help="Start although the disk looks too small.")
+@RENDER_RUN
 @click.option("--dry-run", is_flag=True, help="Print the plan, and render nothing.")
-def render(dataset: Path, only: tuple[str, ...], dry_run: bool, **given: Any) -> None:
+@JSON
+def render(dataset: Path, only: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any) -> None:
     """Render what the camera measures of every scene in DATASET; this word may be left out."""
-    from render.farm.run import RunOptions, plan_run, render_dataset
+    from render.farm.run import plan_run, render_dataset
 
     opened = open_dataset(dataset)
-    names = ("workers", "scheduler", "retry_failed", "replace", "ignore_space")
-    options = RunOptions(cluster_file=given.pop("cluster"), **{name: given.pop(name) for name in names})
-    settings, ids = _render_settings(opened, given), chosen_scenes(opened, only)
+    settings, options = chosen_run(opened, given)
+    ids = chosen_scenes(opened, only)
     if dry_run:
-        plan_run(opened, settings, ids, options, click.echo)
+        planned = plan_run(opened, settings, ids, options, say if as_json else click.echo)
+        if as_json:
+            tell([], planned.as_data(opened, settings), as_json)
         return
     result = render_dataset(opened, settings, ids, options, say)
-    click.echo("\n".join(result.sentences(opened.renders)))
-    complaints = result.complaints(opened.renders)
-    if complaints:
+    tell(result.sentences(opened.renders), result.as_data(opened, settings), as_json)
+    if complaints := result.complaints(opened.renders):
         say("\n".join(complaints))
         raise click.exceptions.Exit(1)
 
@@ -152,29 +155,34 @@ def render(dataset: Path, only: tuple[str, ...], dry_run: bool, **given: Any) ->
 @click.argument("dataset", type=FOLDER)
 @RENDER_SETTINGS
 @ONLY
-def status(dataset: Path, only: tuple[str, ...], **given: Any) -> None:
+@JSON
+def status(dataset: Path, only: tuple[str, ...], as_json: bool, **given: Any) -> None:
     """Say how far DATASET is rendered, what failed and how long the rest will take."""
     from render import read_status
 
     opened = open_dataset(dataset)
-    found = read_status(opened, _render_settings(opened, given), chosen_scenes(opened, only))
-    click.echo("\n".join(found.sentences()))
+    found = read_status(opened, render_settings(opened, given), chosen_scenes(opened, only))
+    tell(found.sentences(), found.as_data(), as_json)
 
 
 @night_render.command(short_help="Check every rendered file.")
 @click.argument("dataset", type=FOLDER)
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
 @ONLY
-def verify(dataset: Path, workers: int, only: tuple[str, ...]) -> None:
+@JSON
+def verify(dataset: Path, workers: int, only: tuple[str, ...], as_json: bool) -> None:
     """Check every rendered file of DATASET; bad scenes are rendered in the next run."""
     from render import verify as check
 
     opened = open_dataset(dataset)
     with showing_progress(None, "scene", "verify") as bar:
         report = check(opened, chosen_scenes(opened, only), workers=workers, on_scene=bar.update)
-    click.echo("\n".join(report.sentences()))
-    if report.problems:
+    tell(report.sentences(), report.as_data(), as_json)
+    if report.damaged_scenes:
+        say(f"night-gen scenes {dataset} repairs scene files")
+    if report.renders_again:
         say("the next night-render renders the bad ones again")
+    if report.problems or report.damaged_scenes:
         raise click.exceptions.Exit(1)
 
 
@@ -220,21 +228,19 @@ def convert(dataset: Path, form: str, out: Path, frequencies: Any, only: tuple[s
 @night_render.command(short_help="Delete transients, keep phasors.")
 @click.argument("dataset", type=FOLDER)
 @ONLY
-def drop_transients(dataset: Path, only: tuple[str, ...]) -> None:
+@YES
+def drop_transients(dataset: Path, only: tuple[str, ...], yes: bool) -> None:
     """Delete the transients of DATASET and keep phasors and ground truth; only rendering brings them back."""
-    from render.products.conversion import shrink_dataset
+    from render.byte_size import size
+    from render.products.transient_deletion import delete_transients, transient_bytes
 
     opened = open_dataset(dataset)
     ids = chosen_scenes(opened, only)
-    freed = shrink_dataset(opened, ids)
-    click.echo(f"{len(ids)} scenes have no transients now: {freed / 1e6:.3g} MB freed")
-
-
-def _render_settings(dataset: Dataset, given: Mapping[str, Any]) -> RenderSettings:
-    """Settings of before, changed by the options that are given."""
-    from render import settings_for
-
-    return settings_for(dataset, {name: value for name, value in given.items() if value is not None})
+    found = size(transient_bytes(opened, ids))
+    confirm_deletion(f"the transients of {len(ids)} scenes, {found}, which only rendering brings back", yes)
+    with showing_progress(len(ids), "scene", "check") as bar:
+        freed = delete_transients(opened, ids, bar.update)
+    click.echo(f"{len(ids)} scenes have no transients now: {size(freed)} freed")
 
 
 @click.command(cls=NightCommand)
@@ -245,7 +251,8 @@ def _render_settings(dataset: Dataset, given: Mapping[str, Any]) -> RenderSettin
 )
 @click.option("--resume", is_flag=True, help="Go on with the run in --out, by its own settings.")
 @TRAINING
-def night_train(dataset: Path, out: Path, preset: str | None, resume: bool, **options: Any) -> None:
+@JSON
+def night_train(dataset: Path, out: Path, resume: bool, as_json: bool, **options: Any) -> None:
     """Train a network on the renders of DATASET; options override the preset.
 
     Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
@@ -257,15 +264,9 @@ def night_train(dataset: Path, out: Path, preset: str | None, resume: bool, **op
     from model.training.processes import is_first_process
 
     opened = open_dataset(dataset)
-    before = model.run_settings(out) if resume else {}
-    named = preset or (None if resume else "default")
-    data, origin = model.training_preset(named) if named else ({}, "options")
-    given = {name: value for name, value in options.items() if value is not None}
-    model.settings_from_dict(given, "options")  # what is wrong with them is not the preset's fault
-    settings = model.settings_from_dict(before | data | given, origin)
-    result = model.train(opened, out, settings, resume=resume)
+    result = model.train(opened, out, chosen_settings(out, resume, **options), resume=resume)
     if is_first_process():
-        click.echo(result.sentence(out))
+        tell([result.sentence(out)], {"run": str(out), **asdict(result)}, as_json)
 
 
 @click.group(cls=DefaultGroup, default="judge")
@@ -290,33 +291,28 @@ def night_eval() -> None:
     show_default=True,
     help="Scenes to judge by.",
 )
-@click.option(
-    "--mask-threshold",
-    type=click.FloatRange(min=0, min_open=True),
-    help="Amplitude from which on a pixel shows the object, instead of the run's.",
-)
+@MASK_THRESHOLD
 @DEVICE
-def judge(run: Path, dataset: Path, out: Path, **options: Any) -> None:
+@JSON
+def judge(run: Path, dataset: Path, out: Path, as_json: bool, **options: Any) -> None:
     """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
     import model
 
+    metrics = out.resolve() / "metrics.json"  # the folder "." is another one afterwards
     report = model.evaluate(run, open_dataset(dataset), out, **options)
-    click.echo(report.table)
-    click.echo(f"look at {out / 'index.html'}; figures and point clouds are beside it")
+    look = f"look at {out / 'index.html'}; figures and point clouds are beside it"
+    tell([report.table, look], metrics, as_json)
 
 
 @night_eval.command(short_help="Depth maps of your own measurements.")
 @click.argument("run", type=FOLDER)
 @click.argument("measurement", metavar="INPUT", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Folder to write; an earlier prediction is replaced.")
-@click.option(
-    "--rescale/--no-rescale",
-    default=None,
-    help="Bring each image's mean amplitude to that of the training scenes, or trust the unit of INPUT. By "
-    "default .npz and .h5 are rescaled, .exr is not.",
-)
+@RESCALE
+@FORCE
 @DEVICE
-def predict(run: Path, measurement: Path, out: Path, rescale: bool | None, device: Any) -> None:
+@JSON
+def predict(run: Path, measurement: Path, out: Path, as_json: bool, **options: Any) -> None:
     """Predict depth maps from the measurements in INPUT by the network of RUN.
 
     INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
@@ -325,20 +321,24 @@ def predict(run: Path, measurement: Path, out: Path, rescale: bool | None, devic
     """
     import model
 
-    images = model.predict_file(run, measurement, out, rescale=rescale, device=device)
-    for image in images:
-        click.echo(image.sentence)
-    click.echo(f"depth maps, pictures and point clouds in {out}")
+    record = out.resolve() / "prediction.json"
+    done = model.predict_file(run, measurement, out, **options)
+    for warning in done.check.warnings:
+        say(f"warning: {warning}")
+    where = f"depth maps, pictures and point clouds in {out}"
+    tell([*done.sentences, where], record, as_json)
 
 
 @night_eval.command(short_help="The network as an ONNX file.")
 @click.argument("run", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="File to write; it ends in .onnx.")
-def export(run: Path, out: Path) -> None:
+@JSON
+def export(run: Path, out: Path, as_json: bool) -> None:
     """Write the network of RUN as an ONNX file, checked against PyTorch.
 
     Input `channels` (N, C, H, W), output `components` (N, 2, H, W); the run's settings are in the metadata.
     """
     import model
 
-    click.echo(model.export_onnx(run, out).sentence(out))
+    check = model.export_onnx(run, out)
+    tell([check.sentence(out)], {"file": str(out), **asdict(check)}, as_json)

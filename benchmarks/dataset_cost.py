@@ -1,8 +1,10 @@
-"""Time of each stage of a dataset on this machine, and an estimate for 1344 and 100,000 scenes.
+"""Scene pairs an hour on this machine, the time of each stage of a dataset, and an estimate for clusters.
 
-The time of the scheduler is measured with empty jobs. The estimated time per scene is the larger of two
-times: that of a scene divided by the number of workers, and that of the scheduler. A worker is a machine
-like this one. Run:
+The first table renders as ``night-render`` does: with the same queue and worker processes, which share the
+threads of the CPU. Warm-up scenes, which start the workers and compile their kernels, do not count. The
+second table has the other stages, too. The time of the scheduler is measured with empty jobs. In the third
+table, the time per scene is the larger of two times: that of a scene divided by the number of workers, and
+that of the scheduler. A worker is a machine like this one. Run:
 
     .venv/bin/python benchmarks/dataset_cost.py --size 160x120
 """
@@ -15,6 +17,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from model.data.shards import open_shards
 from render.farm.clusters import connected
@@ -24,42 +27,82 @@ from render.options import ManyLightOptions
 from render.settings import RenderSettings
 from scenegen import Dataset, open_dataset
 
-WARM_UP = 7  # scenes, one of each class, that compile all kernels
+RATES = (("40x30", 0.02), ("80x60", 0.01), ("160x120", 0.01))  # size and error of the first table
+WARM_UP = 42  # scenes, six of each class: so each of a few workers compiles the kernels of all classes
 NO_OPS = 10_000
 WORKERS = (1, 8, 64)
 SCENES = (1344, 100_000)
 
 
 def main() -> None:
-    """Measure all stages and print two tables."""
+    """Measure and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", default="160x120", help="image size, default 160x120")
-    parser.add_argument("--scenes", type=int, default=28, help="scenes to render to phasors, default 28")
+    parser.add_argument("--size", default="160x120", help="image size of the stages, default 160x120")
+    parser.add_argument("--scenes", type=int, default=70, help="scenes rendered to phasors, default 70")
     parser.add_argument(
-        "--transients", type=int, default=14, help="scenes to render to transients, default 14"
+        "--transients", type=int, default=14, help="scenes rendered to transients, default 14"
     )
-    parser.add_argument("--error", type=float, default=0.01, help="error of the hidden signal, default 0.01")
+    parser.add_argument("--error", type=float, default=0.01, help="error of the stages, default 0.01")
+    parser.add_argument("--warm-up", type=int, default=WARM_UP, help=f"scenes, default {WARM_UP}")
+    parser.add_argument("--rates-only", action="store_true", help="print the first table only")
     given = parser.parse_args()
-    width, height = map(int, given.size.split("x"))
     with TemporaryDirectory() as folder:
-        root = Path(folder)
-        costs = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", (320, 240), 1344) / 1344}
-        settings = RenderSettings(options=ManyLightOptions(error=given.error))
-        made_scenes(root / "data", (width, height), given.scenes)
-        dataset = open_dataset(root / "data")
-        with connected(workers=1, scheduler=None, cluster_file=None, device="auto") as client:
-            costs["phasors (itof)"] = render_cost(client, dataset, settings, given.scenes)
-            both = replace(settings, product="both")
-            costs["transients and phasors"] = render_cost(client, dataset, both, given.transients)
-        costs["shards"] = shard_cost(dataset)
-        overhead = scheduler_cost(dataset)
-    report(costs, overhead, given)
+        print_rates(Path(folder), given)
+        if not given.rates_only:
+            print_stages(Path(folder), given)
 
 
-def made_scenes(root: Path, size: tuple[int, int], count: int) -> float:
+def print_rates(root: Path, given: argparse.Namespace) -> None:
+    """The first table: one worker with all cores, and one worker for each core."""
+    cores = len(os.sched_getaffinity(0))
+    print(f"`--product itof`, {given.scenes} scenes after {given.warm_up} to warm up, {cores} cores\n")
+    print("| pixels | error | workers x threads | seconds per scene pair | scene pairs per hour |")
+    print("|---|---|---|---|---|")
+    for size, error in RATES:
+        settings = RenderSettings(options=ManyLightOptions(error=error))
+        for workers in sorted({1, cores}):
+            dataset = made_dataset(root / f"{size}-{workers}", size, given.scenes + given.warm_up)
+            with local(workers, settings.device) as client:
+                seconds = render_cost(client, dataset, settings, dataset.ids(), given.warm_up)
+            row = (size, f"{error:.0%}", f"{workers} x {cores // workers}", f"{seconds:.3f}")
+            print(f"| {' | '.join(row)} | {3600 / seconds:,.0f} |", flush=True)
+
+
+def print_stages(root: Path, given: argparse.Namespace) -> None:
+    """The second and the third table, with one worker for each core."""
+    cores = len(os.sched_getaffinity(0))
+    scenes = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", "320x240", 1344) / 1344}
+    settings = RenderSettings(options=ManyLightOptions(error=given.error))
+    dataset = made_dataset(root / "data", given.size, given.scenes + given.warm_up)
+    ids = dataset.ids()
+    with local(cores, settings.device) as client:
+        phasors = render_cost(client, dataset, settings, ids, given.warm_up)
+        both, some = replace(settings, product="both"), ids[: given.warm_up + given.transients]
+        transients = render_cost(client, dataset, both, some, given.warm_up)
+    costs = scenes | {
+        "phasors (itof)": phasors,
+        "transients and phasors": transients,
+        "shards": shard_cost(dataset),
+    }
+    report(costs, scheduler_cost(dataset), given)
+
+
+def local(workers: int, device: Any) -> Any:
+    """The worker processes of this machine, as ``night-render`` starts them."""
+    return connected(workers=workers, scheduler=None, cluster_file=None, device=device)
+
+
+def made_dataset(root: Path, size: str, count: int) -> Dataset:
+    """A dataset of the paper's preset with images of another size."""
+    made_scenes(root, size, count)
+    return open_dataset(root)
+
+
+def made_scenes(root: Path, size: str, count: int) -> float:
     """Seconds that night-gen takes for a dataset. A process with Blender could not spawn workers later."""
+    width, height = size.split("x")
     preset = root.with_suffix(".toml")
-    preset.write_text(f"[camera]\nwidth = {size[0]}\nheight = {size[1]}\n")
+    preset.write_text(f"[camera]\nwidth = {width}\nheight = {height}\n")
     night_gen = Path(sys.executable).with_name("night-gen")
     command = [night_gen, "scenes", root, "--preset", preset, "--count", str(count)]
     started = time.perf_counter()
@@ -67,14 +110,19 @@ def made_scenes(root: Path, size: tuple[int, int], count: int) -> float:
     return time.perf_counter() - started
 
 
-def render_cost(client: object, dataset: Dataset, settings: RenderSettings, count: int) -> float:
-    """Seconds per scene with one worker whose kernels are compiled."""
-    ids = dataset.ids()[:count]
-    queue = RenderQueue(client, dataset, settings, "warm-up", lambda *_: None)
-    queue.run(ids[:WARM_UP])
+def render_cost(
+    client: Any, dataset: Dataset, settings: RenderSettings, ids: list[str], warm_up: int
+) -> float:
+    """Seconds per scene with workers whose kernels are compiled."""
+    dataset.renders.mkdir(exist_ok=True)  # night-render has done this before it gives out scenes
+    queue = RenderQueue(client, dataset, settings, f"run-{settings.product}", lambda *_: None)
+    queue.run(ids[:warm_up])
     started = time.perf_counter()
-    queue.run(ids[WARM_UP:])
-    return (time.perf_counter() - started) / (count - WARM_UP)
+    tally = queue.run(ids[warm_up:])
+    seconds = time.perf_counter() - started
+    if tally.failures or tally.counts["rendered"] != len(ids):
+        raise SystemExit(f"not all scenes were rendered: {dict(tally.counts)}, {tally.failures}")
+    return seconds / len(ids[warm_up:])
 
 
 def shard_cost(dataset: Dataset) -> float:
@@ -91,7 +139,7 @@ def no_op(job: Job) -> Outcome:
 
 def scheduler_cost(dataset: Dataset) -> float:
     """Seconds per job that the queue and the scheduler need."""
-    with connected(workers=2, scheduler=None, cluster_file=None, device="cpu") as client:
+    with local(2, "cpu") as client:
         queue = RenderQueue(client, dataset, RenderSettings(), "no-op", lambda *_: None, work=no_op)
         queue.run(f"{number:06d}" for number in range(100))
         started = time.perf_counter()
@@ -102,7 +150,7 @@ def scheduler_cost(dataset: Dataset) -> float:
 def report(costs: dict[str, float], overhead: float, given: argparse.Namespace) -> None:
     """Print the measured times and the estimate."""
     cores = len(os.sched_getaffinity(0))
-    print(f"{given.size} pixels, hidden-signal error {given.error}, {cores} cores\n")
+    print(f"\n{given.size} pixels, hidden-signal error {given.error}, {cores} workers with one thread each\n")
     print("| stage | seconds per scene | scenes per hour |\n|---|---|---|")
     for stage, seconds in costs.items():
         print(f"| {stage} | {seconds:.3g} | {3600 / seconds:,.0f} |")

@@ -8,9 +8,9 @@ Run:
 from pathlib import Path
 
 import numpy as np
-from four_scenes import four_scenes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from seven_scenes import seven_scenes
 
 from itof import TransientLayout, amplitude, phase
 from render.backend import select_variant
@@ -18,6 +18,7 @@ from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight
 from render.transport.method import View
 from render.transport.mirrored import trace_ground_truth
+from render.transport.scene_loading import load_scene
 
 HZ = (20e6,)
 TARGET = Path(__file__).parent.parent / "docs" / "hidden_signal.png"
@@ -27,7 +28,6 @@ def main() -> None:
     """Render three shapes at 160 x 120 and draw them."""
     layout = TransientLayout(160, 120, 2000, 0.01, 0.0)
     variant = select_variant()
-    import mitsuba as mi
 
     figure = Figure(figsize=(13, 8.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -38,11 +38,10 @@ def main() -> None:
         "hidden part, times 300",
         "hidden part: phase, rad",
     )
-    with four_scenes() as scenes:
+    with seven_scenes() as scenes:
         for row, (name, dataset, scene_id) in zip(axes, scenes[:3], strict=True):
-            folder = dataset.scene_folder(scene_id)
-            scene = mi.load_file(str(folder / "scene.xml"), optimize=False)
-            mirrored = mi.load_file(str(folder / "mirrored.xml"), optimize=False)
+            scene = load_scene(dataset, scene_id)
+            mirrored = load_scene(dataset, scene_id, mirrored=True)
             truth = trace_ground_truth(mirrored, layout.width, layout.height, HZ[0])
             method = ManyLight(ManyLightOptions(lights=2048), variant)
             image = method.expose(scene, View(layout, HZ, 3, 1)).phasors()

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 from render.backend import select_variant
 from render.transport.mirrored import trace_ground_truth
+from render.transport.scene_loading import load_scene
 from scenegen import leaks, load_preset
 from scenegen.making.blender import BlenderMaker
 from scenegen.making.generation import generate
@@ -32,12 +33,11 @@ def main() -> None:
         print("splits:", dict(Counter(scene.split for scene in scenes)), "leaks:", len(leaks(scenes)))
         print("redrawn by the geometry check:", sum(scene.attempt > 0 for scene in scenes))
         select_variant()
-        import mitsuba as mi
 
         on_object = 0
         for scene_id in dataset.ids():
-            file = dataset.scene_folder(scene_id) / "mirrored.xml"
-            truth = trace_ground_truth(mi.load_file(str(file), optimize=False), WIDTH, HEIGHT, REFERENCE_HZ)
+            mirrored = load_scene(dataset, scene_id, mirrored=True)
+            truth = trace_ground_truth(mirrored, WIDTH, HEIGHT, REFERENCE_HZ)
             on_object += int(truth.mask.sum())
         pixels = WIDTH * HEIGHT * len(scenes)
         print(f"background/object pixel ratio at {WIDTH} x {HEIGHT}: {(pixels - on_object) / on_object:.1f}")

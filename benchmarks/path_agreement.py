@@ -1,4 +1,4 @@
-"""Compare ``many-light`` with the path tracer on four scenes: image sums and single pixels.
+"""Compare ``many-light`` with the path tracer on scenes of all classes: image sums and single pixels.
 
 Many independent renders give the mean and the noise of the path tracer. The ratio of image sums should be 1
 within that noise. The mean square of (pixel difference / noise) should be 1. Run:
@@ -9,7 +9,7 @@ within that noise. The mean square of (pixel difference / noise) should be 1. Ru
 import argparse
 
 import numpy as np
-from four_scenes import four_scenes
+from seven_scenes import seven_scenes
 
 from itof import MeasurementMatrix, TransientLayout
 from render.backend import select_variant
@@ -17,6 +17,7 @@ from render.options import ManyLightOptions, PathOptions
 from render.transport.many_light import ManyLight
 from render.transport.method import View
 from render.transport.path_tracer import PathTracer
+from render.transport.scene_loading import load_scene
 
 HZ = (20e6, 50e6, 60e6)
 
@@ -28,15 +29,14 @@ def main() -> None:
     arguments.add_argument("--spp", type=int, default=4096)
     given = arguments.parse_args()
     layout = TransientLayout(24, 18, 2000, 0.01, 0.0)
-    phi = MeasurementMatrix(HZ, layout.bin_count, layout.bin_width_m, splat="tent")
+    phi = MeasurementMatrix(HZ, layout.bin_count, layout.bin_width_m, splat="quadratic")
     variant = select_variant()
-    import mitsuba as mi
 
     print(f"{given.runs} renders of {given.spp} paths per pixel, 24 x 18 pixels, 8192 lights")
     print("scene                 MHz   path / many-light    sigma   mean square z")
-    with four_scenes() as scenes:
+    with seven_scenes() as scenes:
         for name, dataset, scene_id in scenes:
-            scene = mi.load_file(str(dataset.scene_folder(scene_id) / "scene.xml"), optimize=False)
+            scene = load_scene(dataset, scene_id)
             lights = ManyLight(ManyLightOptions(lights=8192), variant).expose(scene, View(layout, HZ, 3, 1))
             image = lights.phasors()
             tracer = PathTracer(PathOptions(spp=given.spp), variant)

@@ -18,6 +18,7 @@ from render.backend import select_variant
 from render.options import PathOptions
 from render.transport.method import View
 from render.transport.path_tracer import PathTracer
+from render.transport.scene_loading import load_scene
 from scenegen import preset_from_dict
 from scenegen.making.blender import BlenderMaker
 from scenegen.making.generation import generate
@@ -36,7 +37,6 @@ def main() -> None:
     height = given.width * 3 // 4
     layout = TransientLayout(given.width, height, 1500, 0.01, 0.0)
     variant = select_variant()
-    import mitsuba as mi
 
     with tempfile.TemporaryDirectory() as folder:
         preset = preset_from_dict({"dataset": {"count": given.scenes}}, "benchmark")
@@ -44,7 +44,7 @@ def main() -> None:
         print(f"{given.width} x {height} pixels, {variant}; error per pixel relative to the hidden signal")
         print("scene   class            spp   20 MHz   50 MHz   60 MHz  x sqrt(spp)   Mpaths/s")
         for scene_id in dataset.ids():
-            scene = mi.load_file(str(dataset.scene_folder(scene_id) / "scene.xml"), optimize=False)
+            scene = load_scene(dataset, scene_id)
 
             def measure(spp, seed, bounces=3, scene=scene):
                 started = time.perf_counter()

@@ -1,141 +1,200 @@
-"""Time and memory of ``many-light`` for a scene pair at 320 x 240, and how the time grows.
+"""Time and memory of ``many-light`` for a scene pair, how they grow, and where the time goes.
 
-A scene pair is a scene and its mirrored scene, with all files written. The first scene compiles the
-kernels and is not counted. Run each product in a separate process, because memory is the peak of the
-process:
+A scene pair is a scene and its mirrored scene, with all files written. Each scene is rendered once before it
+is measured, because the first time compiles its kernels. The median of --repeats renders is printed. Run:
 
     .venv/bin/python benchmarks/render_cost.py itof
     .venv/bin/python benchmarks/render_cost.py transient
     .venv/bin/python benchmarks/render_cost.py growth
+    .venv/bin/python benchmarks/render_cost.py stages
 """
 
 import argparse
-import resource
 import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from typing import Any
 
-import numpy as np
 import trimesh
-from four_scenes import four_scenes
+from machine_limits import copied_bytes, file_seconds, occlusion_rays
+from render_stages import STAGES, last_field, stage_times
+from seven_scenes import SCENES, seven_scenes
 
-from itof import TransientLayout, read_image
 from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from render.transport.gather_pass import Grid, gather_lights, gauss_rule
-from render.transport.many_light import ManyLight
-from render.transport.method import View
+from render.transport.scene_loading import load_scene
+from scenegen import Dataset
 
-HZ = (20e6, 50e6, 60e6)
-
-
-def pairs(product: str, error: float) -> None:
-    """Seconds and peak memory per scene pair."""
-    print(f"QVGA, product {product}, hidden error {error:.2%}, scene and mirrored scene, files written")
-    print("scene                seconds   lights  error   peak MB       MB on disk")
-    with four_scenes() as scenes:
-        for warm in (True, False):
-            for name, dataset, scene_id in scenes[: 1 if warm else None]:
-                settings = RenderSettings(product=product, options=ManyLightOptions(error=error))
-                renderer = Renderer(dataset, settings)
-                started = time.perf_counter()
-                renderer.render(scene_id)
-                seconds = time.perf_counter() - started
-                folder = dataset.render_folder(scene_id)
-                header = read_image(folder / "itof.exr").attributes
-                size = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
-                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-                if not warm:
-                    print(
-                        f"{name:<18} {seconds:9.2f} {header['lights']:>8} {header['hidden_error']:>6} "
-                        f"{peak:9.0f} {size:16.1f}"
-                    )
-
-
-def growth() -> None:
-    """Time of the gather pass for numbers of pixels, lights and triangles, and of transients for bins."""
-    variant = select_variant()
-    import drjit as dr
-    import mitsuba as mi
-
-    with four_scenes() as scenes:
-        name, dataset, scene_id = scenes[0]
-        file = dataset.scene_folder(scene_id) / "scene.xml"
-        scene = mi.load_file(str(file), optimize=False)
-        print(f"gather pass, {name}, {variant}: seconds, million pixel-light pairs per second")
-        for width, lights in ((80, 1024), (160, 1024), (320, 256), (320, 1024), (320, 4096)):
-            seconds, rate = gather(scene, variant, width, lights)
-            print(f"  {width:4d} wide, {lights:5d} lights: {seconds:7.2f} s {rate:7.1f} M/s")
-        print(f"  bare ray_test on the same scene: {ray_tests(scene):7.1f} M rays/s")
-        mesh_file = dataset.scene_folder(scene_id) / "hidden_object_0.ply"
-        mesh = trimesh.load(mesh_file)
-        for _ in range(3):
-            mesh = mesh.subdivide()
-            mesh_file.write_bytes(mesh.export(file_type="ply"))
-            finer = mi.load_file(str(file), optimize=False)
-            seconds, rate = gather(finer, variant, 320, 1024)
-            print(f"  {len(mesh.faces):7d} triangles: {seconds:7.2f} s {rate:7.1f} M/s")
-        for bins in (500, 2000, 8000):
-            seconds = transient(scene, variant, bins)
-            print(f"  transient, 80 x 60, {bins:5d} bins: {seconds:7.2f} s")
-        dr.sync_thread()
-
-
-def gather(scene, variant: str, width: int, lights: int) -> tuple[float, float]:
-    """Seconds of the gather pass, and million pixel-light pairs per second."""
-    layout = TransientLayout(width, width * 3 // 4, 2000, 0.01, 0.0)
-    method = ManyLight(ManyLightOptions(lights=lights), variant)
-    made = method.expose(scene, View(layout, HZ, 3, 1)).lights
-    grid = Grid(layout.width, layout.height)
-    gather_lights(scene, grid, HZ, gauss_rule(1), made)  # compiles the kernels
-    started = time.perf_counter()
-    gather_lights(scene, grid, HZ, gauss_rule(1), made)
-    seconds = time.perf_counter() - started
-    return seconds, layout.width * layout.height * len(made) / seconds / 1e6
-
-
-def transient(scene, variant: str, bins: int) -> float:
-    """Seconds of a transient with 80 x 60 pixels and 1024 lights."""
-    layout = TransientLayout(80, 60, bins, 20 / bins, 0.0)
-    exposure = ManyLight(ManyLightOptions(lights=1024), variant).expose(scene, View(layout, HZ, 3, 1))
-    started = time.perf_counter()
-    for _ in exposure.row_blocks():
-        pass
-    return time.perf_counter() - started
-
-
-def ray_tests(scene) -> float:
-    """Million occlusion rays per second, from the relay wall to the place of the hidden object."""
-    import drjit as dr
-    import mitsuba as mi
-
-    count = 2**22
-    rng = np.random.default_rng(0)
-    wall = mi.Point3f(
-        np.stack([np.full(count, 1e-3), *rng.uniform([[-0.8], [0.8]], [[1.7], [2.5]], (2, count))])
-    )
-    place = mi.Point3f(rng.uniform([[1.0], [0.5], [1.25]], [[1.3], [1.3], [1.95]], (3, count)))
-    dr.eval(wall, place)
-    best = 0.0
-    for _ in range(4):
-        started = time.perf_counter()
-        hit = scene.ray_test(mi.Ray3f(wall, dr.normalize(place - wall), dr.norm(place - wall), 0, []))
-        dr.eval(hit)
-        dr.sync_thread()
-        best = max(best, count / (time.perf_counter() - started) / 1e6)
-    return best
+SIZES = tuple((4 * n, 3 * n) for n in (10, 20, 40, 80, 160, 320))
+ERRORS = (0.02, 0.01, 0.005, 0.002, 0.001)
+LIGHTS = (256, 1024, 4096, 16384)
+TRIANGLES = (1, 3, 5, 7, 8)  # subdivisions of an icosahedron: 80, 1280, 20 and 328 thousand, 1.3 million
+BINS = (500, 2000, 8000)
 
 
 def main() -> None:
     """Run the chosen benchmark."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("what", choices=["itof", "transient", "growth"])
-    arguments.add_argument("--error", type=float, default=0.005)
+    arguments.add_argument("what", choices=["itof", "transient", "growth", "stages"])
+    arguments.add_argument("--size", default="320x240", help="image size, default 320x240")
+    arguments.add_argument("--error", type=float, default=0.005, help="wanted error, default 0.005")
+    arguments.add_argument("--repeats", type=int, default=3, help="renders of which the median counts")
+    arguments.add_argument(
+        "--scene", nargs="+", choices=[name for name, _ in SCENES], help="all; sphere for growth"
+    )
+    arguments.add_argument("--product", choices=["itof", "both"], default="itof", help="for stages")
+    arguments.add_argument("--most", type=float, default=0, help="growth: skip what is larger than this")
     given = arguments.parse_args()
-    if given.what == "growth":
-        growth()
-    else:
-        pairs("itof" if given.what == "itof" else "both", given.error)
+    print(f"{given.size} pixels, error {given.error:g}, {select_variant()}")
+    names = given.scene or (["sphere"] if given.what == "growth" else [])
+    with seven_scenes(tuple(names)) as scenes:
+        if given.what == "growth":
+            growth(*scenes[0], given)
+        elif given.what == "stages":
+            stages(scenes, given)
+        else:
+            pairs(scenes, given)
+
+
+def settings_of(given: argparse.Namespace, **changes: Any) -> RenderSettings:
+    """Settings of the render that the command line asks for."""
+    size = tuple(map(int, given.size.split("x")))
+    settings = RenderSettings(options=ManyLightOptions(error=given.error), resolution=size)
+    return replace(settings, **changes)
+
+
+def measured(dataset: Dataset, scene_id: str, settings: RenderSettings, repeats: int) -> dict[str, str]:
+    """Seconds per scene pair, lights, lattice, reported error, peak memory, and size of the files."""
+    import drjit as dr
+
+    renderer = Renderer(dataset, settings)
+    renderer.render(scene_id)
+    times = []
+    dr.flush_malloc_cache()
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from here
+    with last_field() as field:
+        for _ in range(repeats):
+            started = time.perf_counter()
+            record = renderer.render(scene_id)
+            times.append(time.perf_counter() - started)
+    lattice = field[0].lattice
+    status = Path("/proc/self/status").read_text()
+    peak_kb = int(status.split("VmHWM:")[1].split()[0])
+    return {
+        "seconds": f"{median(times):.2f}",
+        "lights": record.attributes["lights"],
+        "lattice": f"{lattice.columns} x {lattice.rows}" if lattice else "none",
+        "reported error": f"{float(record.attributes['hidden_error']):.2%}",
+        "peak memory, MB": f"{peak_kb / 1e3:.0f}",
+        "on disk, MB": f"{sum(file.bytes for file in record.files.values()) / 1e6:.2f}",
+    }
+
+
+def pairs(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> None:
+    """Print a line per scene."""
+    settings = settings_of(given, product="both" if given.what == "transient" else "itof")
+    print_table("scene", ((name, measured(*scene, settings, given.repeats)) for name, *scene in scenes))
+
+
+def growth(name: str, dataset: Dataset, scene_id: str, given: argparse.Namespace) -> None:
+    """Print tables of the cost against pixels, error, lights, bins and triangles."""
+
+    def cost(at: Dataset = dataset, **changes: Any) -> dict[str, str]:
+        return measured(at, scene_id, settings_of(given, **changes), given.repeats)
+
+    def small(values: tuple[Any, ...], size: Any = float) -> list[Any]:
+        return [value for value in values if not given.most or size(value) <= given.most]
+
+    def pixels(size: tuple[int, int]) -> int:
+        return size[0] * size[1]
+
+    print(f"{name}; what a table does not vary is as above")
+    sizes = small(SIZES, pixels)
+    print_table("pixels", ((f"{s[0]} x {s[1]}", cost(resolution=s)) for s in sizes))
+    errors = small(ERRORS, lambda error: 1 / error)
+    print_table("error", ((f"{e:.1%}", cost(options=ManyLightOptions(error=e))) for e in errors))
+    print_table("`--lights`", ((n, cost(options=ManyLightOptions(lights=n))) for n in small(LIGHTS)))
+    bins = ((n, with_bins(dataset, n)) for n in small(BINS))
+    print_table("bins, with transients", ((n, cost(other, product="both")) for n, other in bins))
+    made = made_triangles(dataset, scene_id, small(TRIANGLES, lambda times: 20 * 4**times))
+    print_table("triangles", ((f"{count:,}", cost(accept_edited=True)) for count in made))
+
+
+def with_bins(dataset: Dataset, count: int) -> Dataset:
+    """The dataset with `count` bins on the same time axis."""
+    preset = dataset.preset
+    axis = preset.transient
+    axis = replace(axis, bin_count=count, bin_width_m=axis.bin_width_m * axis.bin_count / count)
+    return replace(dataset, index=replace(dataset.index, preset=replace(preset, transient=axis)))
+
+
+def made_triangles(dataset: Dataset, scene_id: str, times: list[int]) -> Iterator[int]:
+    """Put a subdivided icosahedron, as large as the sphere, in its place; the number of its triangles."""
+    file = dataset.scene_folder(scene_id) / "hidden_object_0.ply"
+    box = trimesh.load(file).bounds
+    for subdivisions in times:
+        mesh = trimesh.creation.icosphere(subdivisions, radius=(box[1] - box[0]).mean() / 2)
+        mesh.apply_translation(box.mean(axis=0))
+        file.write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+        yield len(mesh.faces)
+
+
+def stages(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> None:
+    """Print milliseconds of each stage for each scene, and the limits of the machine."""
+    settings = settings_of(given, product=given.product)
+    columns, limits = [], []
+    for _, dataset, scene_id in scenes:
+        renderer = Renderer(dataset, settings)
+        renderer.render(scene_id)
+        with stage_times() as seconds:
+            started = time.perf_counter()
+            for _ in range(given.repeats):
+                record = renderer.render(scene_id)
+            whole = (time.perf_counter() - started) / given.repeats
+        column = {stage: seconds[stage] / given.repeats for stage in STAGES}
+        column["not in these stages"] = whole - sum(column.values())
+        columns.append(column | {"all": whole})
+        sizes = [file.bytes for file in record.files.values()]
+        rays = occlusion_rays(load_scene(dataset, scene_id))
+        count = seconds["pairs"] / given.repeats
+        limits.append(
+            {
+                "million pairs of a point and a light or wall point": f"{count / 1e6:.1f}",
+                "bare occlusion rays, million a second": f"{rays / 1e6:.0f}",
+                "as many bare rays as pairs would take, ms": f"{1e3 * count / rays:.1f}",
+                "as many bytes to the disk (fsync), ms": f"{disk_ms(dataset.root, sizes):.1f}",
+            }
+        )
+    rows = [*STAGES, "not in these stages", "all"]
+    names = [name for name, *_ in scenes]
+    for row in rows:
+        if not any(column[row] for column in columns):
+            for column in columns:
+                del column[row]
+    rows = [row for row in rows if row in columns[0]]
+    print_table(
+        "ms",
+        ((r, {n: f"{1e3 * c[r]:.1f}" for n, c in zip(names, columns, strict=True)}) for r in rows),
+    )
+    print_table("limits", ((r, {n: c[r] for n, c in zip(names, limits, strict=True)}) for r in limits[0]))
+    print(f"\nnumpy copies {copied_bytes() / 1e9:.1f} GB a second with one thread.")
+
+
+def disk_ms(folder: Path, sizes: list[int]) -> float:
+    """Milliseconds to write files of these sizes and wait for each."""
+    return 1e3 * sum(file_seconds(folder, size) for size in sizes)
+
+
+def print_table(first: str, rows: Iterator[tuple[Any, dict[str, str]]]) -> None:
+    """Print a table in Markdown, line by line as the rows are measured."""
+    for number, (name, values) in enumerate(rows):
+        if number == 0:
+            print(f"\n| {first} | {' | '.join(values)} |\n|---|{'---|' * len(values)}")
+        print(f"| {name} | {' | '.join(values.values())} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from model.device import choose_device
 from model.network.channels import InputSpec
 from model.network.loss import NightLoss
 from model.network.wall_view import WallView
-from model.run_folder import RunConfig
+from model.run_folder.run_config import RunConfig
 from model.settings import TrainSettings
 from model.training.processes import Processes
 from model.training.step import TrainingStep
@@ -103,7 +103,7 @@ def measured(given: argparse.Namespace) -> str:
         device=given.device,
         learning_rate=1e-6,
     )
-    inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5)
+    inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5, "measured")
     config = RunConfig(settings, inputs, FREQUENCIES_HZ[0], VIEW, width, height, "", "", "")
     block = random_block(width, height, 4 * given.batch_size)
     step = plain_step if given.way == "plain" else our_step
@@ -195,7 +195,7 @@ def roofline(given: argparse.Namespace) -> str:
     """Samples per second at the limits of this machine, with float32 and with bfloat16 convolutions."""
     width, height = map(int, given.size[0].split("x"))
     device = choose_device(given.device)
-    inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5)
+    inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5, "measured")
     settings = TrainSettings(width=given.width)
     config = RunConfig(settings, inputs, FREQUENCIES_HZ[0], VIEW, width, height, "", "", "")
     network = config.network().to(device)

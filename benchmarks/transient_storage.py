@@ -27,7 +27,7 @@ import numpy as np
 import OpenEXR
 
 from itof import TransientLayout, TransientReader
-from itof.exr import TRANSIENT_CHANNEL
+from itof.exr_transient import TRANSIENT_CHANNEL
 from render.options import ManyLightOptions, PathOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
@@ -179,11 +179,11 @@ def unpack(transient: Path, raw: Path) -> tuple[TransientLayout, float]:
 
 
 def render(settings: RenderSettings, raw: Path) -> tuple[TransientLayout, float]:
-    """Render the first of the four scenes and unpack its transient."""
+    """Render the first of the seven scenes and unpack its transient."""
     # Imported late, because a process that has loaded bpy cannot spawn another (docs/design.md, Blender).
-    from four_scenes import four_scenes
+    from seven_scenes import seven_scenes
 
-    with four_scenes() as scenes:
+    with seven_scenes() as scenes:
         _, dataset, scene_id = scenes[0]
         Renderer(dataset, settings).render(scene_id)
         return unpack(dataset.render_folder(scene_id) / "transient.exr", raw)

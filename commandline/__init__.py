@@ -1,4 +1,5 @@
-"""What the commands of `cli` share: how they end (`endings`), and their options (`options`).
+"""What the commands of `cli` share: how they end (`endings`), their options (`options`), how
+they print results (`results`), and the question before they delete something (`confirmation`).
 
 Imports click, `scenegen` and the training settings, which are plain data; nothing that computes.
 """

@@ -20,10 +20,14 @@ from typing import Any
 
 import click
 
+from commandline.sentences import sentence_of
+from commandline.streams import discard_unprinted, is_of_stdout, say
 from itof import ImageFileError
 from scenegen import NightError
 
 _DEFECT = 70  # EX_SOFTWARE of sysexits.h
+_REPORT_IT = "This is a defect of NIGHT {}: please report it with the text above (see CONTRIBUTING.md)."
+_OUTPUTS = ("out", "dataset")  # parameters that name where a command writes, the first that it has
 
 
 class Refusal(click.ClickException):
@@ -33,26 +37,26 @@ class Refusal(click.ClickException):
 
 
 @contextmanager
-def _ending() -> Iterator[None]:
-    """Every exception that can end a command as message and exit code; click's own pass."""
+def _ending(command: str, place: str = "") -> Iterator[None]:
+    """Every exception that can end a command as message and exit code; click's own pass.
+
+    `place` is where the command writes, for errors that do not say which file they are about.
+    """
     try:
         yield
     except (click.exceptions.Exit, click.ClickException, click.Abort, BrokenPipeError):
         raise  # click ends silently where nobody reads what we print
     except KeyboardInterrupt:
-        click.echo("interrupted", err=True)
+        say("interrupted")
         sys.exit(128 + signal.SIGINT)
     except (NightError, ImageFileError, MemoryError, OSError) as error:
         if os.environ.get("NIGHT_TRACEBACK"):
-            traceback.print_exc()
-        raise Refusal(_sentence(error)) from None
+            say(traceback.format_exc())
+        if isinstance(error, OSError) and is_of_stdout(error):
+            raise Refusal(f"the result could not be printed on standard output: {error.strerror}") from None
+        raise Refusal(sentence_of(error, command, place)) from None
     except Exception:  # of any kind: whatever input cannot cause is a defect
-        traceback.print_exc()
-        click.echo(
-            f"This is a defect of NIGHT {version('night-nlos')}: please report it with the text above (see "
-            "CONTRIBUTING.md).",
-            err=True,
-        )
+        say(traceback.format_exc() + _REPORT_IT.format(version("night-nlos")))
         sys.exit(_DEFECT)
 
 
@@ -63,16 +67,26 @@ class NightCommand(click.Command):
         super().__init__(*args, **attributes)
         click.version_option(package_name="night-nlos")(self)
 
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Run as a program: parse, work and exit."""
+        try:
+            return super().main(*args, **extra)
+        except OSError as error:  # stderr did not take the message of the exception that ended the command
+            sys.exit(getattr(error.__context__, "exit_code", Refusal.exit_code))
+        finally:
+            discard_unprinted()
+
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         """Parse the command line."""
-        with _ending():
+        with _ending(self.name or ""):
             return super().make_context(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Do the work."""
         logging.basicConfig(level=logging.INFO, format="%(message)s")
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that `finally` runs
-        with _ending():
+        place = next((str(ctx.params[name]) for name in _OUTPUTS if ctx.params.get(name)), "")
+        with _ending(self.name or "", place):
             return super().invoke(ctx)
 
 
@@ -107,17 +121,3 @@ class DefaultGroup(NightGroup):
         with formatter.section("Options"):
             formatter.write_dl(records)
         self.format_commands(ctx, formatter)
-
-
-def say(sentence: str) -> None:
-    """Print on stderr what is no result."""
-    click.echo(sentence, err=True)
-
-
-def _sentence(error: BaseException) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror}"
-    if isinstance(error, MemoryError):
-        return f"out of memory {error}".strip() + ": use a smaller resolution, batch or bin_count"
-    return " ".join(str(error).split()) or type(error).__name__

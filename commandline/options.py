@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Callable
+from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 import click
 
 from model.settings import training_fields
-from scenegen import Dataset
+from scenegen import Dataset, Preset, open_dataset, preset_from_dict, read_settings
 from scenegen.preset import MOST_BOUNCES
 
 if TYPE_CHECKING:
@@ -103,11 +104,34 @@ def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
     return [dataset.entry(scene_id).id for scene_id in dict.fromkeys(only)] or dataset.ids()
 
 
+def overridden_preset(
+    out: Path, preset: str | None, count: int | None, seed: int | None
+) -> tuple[Preset, Path]:
+    """The preset with what the command line gives instead of its own count and seed; its own folder.
+
+    Where no preset is named, it is that of the dataset in `out`, or ``paper`` if there is none.
+    """
+    if preset is None and (out / "dataset.json").exists():
+        data: dict[str, Any] = asdict(open_dataset(out).preset)
+        origin = str(out / "dataset.json")
+    else:
+        data, origin = read_settings("presets", preset or "paper")
+    changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
+    table = data.setdefault("dataset", {})
+    if changes and isinstance(table, dict):
+        table.update(changes)
+    return preset_from_dict(data, origin), Path(origin).parent
+
+
 TRAINING = options(*(_training_option(name, field) for name, field in training_fields().items()))
 DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
 DEVICES = click.Choice(["auto", "cpu", "cuda"])
 DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)
 ONLY = click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
+PRESET = click.option(
+    "--preset",
+    help="Name in data/presets, or a .toml file.  [default: that of the dataset in OUT, or paper]",
+)
 COUNT = click.IntRange(1, 1_000_000_000)  # of what is computed one by one: more takes for ever
 RENDER_SETTINGS = options(
     click.option("--method", help="many-light (the default), or path: slower, for any scene at all."),
@@ -126,4 +150,42 @@ RENDER_SETTINGS = options(
     click.option("--max-bounces", type=click.IntRange(1, MOST_BOUNCES), help="Instead of the preset's."),
     click.option("--device", type=DEVICES, help=DEVICE_HELP),
     click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
+)
+RENDER_RUN = options(
+    click.option(
+        "--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs."
+    ),
+    click.option("--scheduler", metavar="ADDRESS", help="Render on a Dask cluster, like tcp://host:8786."),
+    click.option("--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file."),
+    click.option("--retry-failed", is_flag=True, help="Try scenes again that failed before."),
+    click.option(
+        "--replace", is_flag=True, help="Render scenes again that were rendered with other settings."
+    ),
+    click.option(
+        "--accept-edited",
+        is_flag=True,
+        help="Render scenes whose files are not those that night-gen made, from scene.json and the meshes.",
+    ),
+    click.option(
+        "--accept-lost-light",
+        is_flag=True,
+        help="Write transients although hidden light arrives outside the time axis.",
+    ),
+    click.option("--ignore-space", is_flag=True, help="Start although the disk looks too small."),
+)
+MASK_THRESHOLD = click.option(
+    "--mask-threshold",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Amplitude from which on a pixel shows the object, instead of the run's.",
+)
+RESCALE = click.option(
+    "--rescale/--no-rescale",
+    default=None,
+    help="Bring each image's mean amplitude to that of the training scenes, or trust the unit of INPUT. By "
+    "default .npz and .h5 are rescaled, .exr is not.",
+)
+FORCE = click.option(
+    "--force",
+    is_flag=True,
+    help="Predict although the light in INPUT is not that of the relay wall of RUN.",
 )

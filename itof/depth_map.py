@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from itof.exr import Image, ImageFileError, phasor_channels, read_image, write_image
+from itof.exr import Image, phasor_channels, read_image, write_image
+from itof.exr_header import ImageFileError
 from itof.light import phasor_of_return
 from itof.pinhole import z_from_radial
 
@@ -71,18 +72,23 @@ class DepthMap:
         write_image(path, self.channels(), attributes)
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> DepthMap:
+    def read(cls, path: str | os.PathLike[str], *, advice: str = "") -> DepthMap:
         """Read an EXR file that `write` has written.
+
+        Parameters
+        ----------
+        advice : what to do where the file is damaged; it ends the sentence of the error.
 
         Raises
         ------
         ImageFileError : a file that is missing or damaged, or that holds no depth map; the message names it.
         """
-        image = read_image(path)
+        image = read_image(path, advice=advice)
         try:
             return cls.of_image(image)
         except ImageFileError as error:
-            raise ImageFileError(f"{Path(path)} {error}") from None
+            sentence = f"{Path(path)} {error}"
+            raise ImageFileError(f"{sentence}: {advice}" if advice else sentence) from None
 
     @classmethod
     def of_image(cls, image: Image) -> DepthMap:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike, NDArray
 
 from itof.light import SPEED_OF_LIGHT, phase_per_metre
-
-Splat = Literal["point", "tent"]
+from itof.splat import Splat, splat_transfer
 
 
 @dataclass(frozen=True)
@@ -25,10 +24,10 @@ class MeasurementMatrix:
     bin_count : T, number of time bins.
     bin_width_m : bin width in *optical path length* (out and back), metres.
     start_opl_m : optical path length where the first bin begins, metres.
-    splat : how returns were put into bins. ``point``: Φ is exp(j 2π f tau_t). ``tent``: each return was split
-        linearly between the two nearest bin centres, which multiplies the phasor of light that is spread over
-        bins by sinc²(f w / c); Φ divides by this factor. At 60 MHz and 1 cm it changes the total by 1.3e-5,
-        which is 1 % of the hidden signal (docs/design.md, Time bins).
+    splat : how returns were put into bins (`itof.splat`). ``point``: Φ is exp(j 2π f tau_t). ``tent``: each
+        return was split linearly between the two nearest bin centres, ``quadratic``: over the three nearest
+        bins. This multiplies phasors by sinc²(f w / c) or sinc³(f w / c), and Φ divides by this factor. What
+        Φ cannot undo is `itof.splat_residue`.
 
     Raises
     ------
@@ -71,9 +70,7 @@ class MeasurementMatrix:
         turns = phase_per_metre(self.frequencies_hz)  # (F,)
         angle_rad = np.outer(turns, self.bin_centres_m)  # (F, T)
         rows = np.stack([np.cos(angle_rad), np.sin(angle_rad)])  # (2, F, T)
-        if self.splat == "tent":
-            # numpy's sinc(x) is sin(πx) / (πx), and k w / 2π is the bin width in wavelengths
-            rows /= np.sinc(turns * self.bin_width_m / (2 * np.pi))[:, None] ** 2
+        rows /= splat_transfer(self.frequencies_hz, self.bin_width_m, self.splat)[:, None]
         return rows.reshape(-1, self.bin_count)  # (2F, T)
 
     def apply(self, transient: ArrayLike) -> NDArray[np.complex128]:

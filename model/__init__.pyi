@@ -1,11 +1,12 @@
 from .network.channels import InputSpec
 from .network.readout import Readout
 from .network.unet import UNet
+from .prediction.measurement_check import check_file
 from .prediction.onnx_export import export_onnx
 from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
 from .report.evaluation import evaluate
-from .run_folder import run_settings
+from .run_folder.run_config import run_settings
 from .settings import TrainSettings, settings_from_dict, training_preset
 from .training.loop import train
 
@@ -15,6 +16,7 @@ __all__ = [
     "Readout",
     "TrainSettings",
     "UNet",
+    "check_file",
     "evaluate",
     "export_onnx",
     "load",

@@ -10,7 +10,7 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
-from scenegen import PresetError, read_settings
+from scenegen import NightError, PathLike, PresetError, inside, read_settings
 from scenegen.contract import STRICT, Positive, WholeCount, checked
 
 Channels = Literal["paper", "residual", "paper+residual"]
@@ -107,7 +107,7 @@ def training_fields() -> dict[str, FieldInfo]:
     return fields
 
 
-def training_preset(name_or_file: str) -> tuple[dict[str, Any], str]:
+def training_preset(name_or_file: PathLike) -> tuple[dict[str, Any], str]:
     """Settings of a TOML file or of one in data/training, and its path.
 
     A preset with the key ``extends`` begins with the settings of the preset it names, a file beside it or
@@ -119,18 +119,37 @@ def training_preset(name_or_file: str) -> tuple[dict[str, Any], str]:
     """
     layers: list[dict[str, Any]] = []
     origins: list[str] = []
-    name: Any = name_or_file
+    name: PathLike | None = name_or_file
     while name is not None:
-        data, origin = read_settings("training", str(name))
+        data, origin = _read_layer(name, origins)
         if origin in origins:
             raise PresetError(f"{' extends '.join([*origins, origin])}: a circle has no beginning")
         origins.append(origin)
-        name = data.pop("extends", None)
-        beside = Path(origin).parent / str(name)
-        if name is not None and beside.is_file():
-            name = beside
+        name = _extended(data.pop("extends", None), Path(origin))
         layers.append(data)
     return {key: value for layer in reversed(layers) for key, value in layer.items()}, origins[0]
+
+
+def _read_layer(name: PathLike, origins: list[str]) -> tuple[dict[str, Any], str]:
+    """Settings of one file, and its path; an error also names the file in `origins` that extends it."""
+    try:
+        return read_settings("training", name)
+    except PresetError as error:
+        if not origins:
+            raise
+        raise PresetError(f"{origins[-1]}, key extends: {error}") from None
+
+
+def _extended(name: object, origin: Path) -> PathLike | None:
+    """The preset that the file `origin` extends: a file beside it, or a name in data/training."""
+    if name is None:
+        return None
+    try:
+        beside = inside(origin.parent, str(name))
+        return beside if beside.is_file() else str(name)
+    except (NightError, OSError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise PresetError(f"{origin}, key extends: {reason}") from None
 
 
 def settings_from_dict(data: dict[str, Any], origin: str) -> TrainSettings:

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import MeasurementMatrix, TransientWriter, phasor_channels, write_image
+from itof import MeasurementMatrix, Splat, TransientWriter, phasor_channels, write_image
 from render.backend import select_variant
+from render.edited_scenes import edited_attributes, is_edited, refuse_edited
 from render.settings import RenderError, RenderSettings
-from render.transport.hidden_surface import HiddenSurfaceError
+from render.transport.lights.hidden_surface import HiddenSurfaceError
 from render.transport.method import Exposure, View
 from render.transport.methods import METHODS
 from render.transport.mirrored import trace_ground_truth
+from render.transport.passes.transient_pass import LostLightError
 from render.transport.scene_checks import SceneError
+from render.transport.scene_loading import scene_from_data
 from scenegen import (
     GROUND_TRUTH_FILE,
     IMAGE_FILES,
@@ -31,15 +34,27 @@ from scenegen import (
     FileRecord,
     RenderRecord,
     Scene,
+    forget_bad_render,
     read_record,
     remove_failure,
     sha256_of,
     whole_file,
     write_record,
 )
+from scenegen.mitsuba_description import mirrored_description, seen_description
+from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
-if TYPE_CHECKING:
-    import mitsuba as mi
+_SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A scene as it was read: its data, its folder, and contents and digest of all files there."""
+
+    scene: Scene
+    folder: Path
+    files: Mapping[str, bytes]
+    digest: str
 
 
 class Renderer:
@@ -61,7 +76,7 @@ class Renderer:
             self.layout.bin_count,
             self.layout.bin_width_m,
             self.layout.start_opl_m,
-            splat="tent",
+            splat=_SPLAT,
         )
         self.variant = select_variant(settings.device)
         make = METHODS[settings.method]
@@ -72,20 +87,23 @@ class Renderer:
         """Render a scene and its mirrored scene into ``renders/<id>/``, and return the record of the files.
 
         Each file is written whole or not at all. The earlier record and failure of the scene are deleted
-        first and the new record is written last, so that a record never describes other files.
+        first and the new record is written last, so that a record never describes other files. The scene's
+        files are read once: the bytes that are compared with ``dataset.json`` are those that are rendered.
 
         Raises
         ------
-        RenderError : Mitsuba cannot load the scene, the method cannot render it, or a pixel is NaN or
-            infinite.
+        RenderError : the scene's files are not those that ``dataset.json`` vouches for (unless the settings
+            accept that), the method cannot render the scene, or a pixel is NaN or infinite.
+        NightError : a file of the scene is missing or damaged.
         """
-        scene = self.dataset.scene(scene_id)
+        source = self._read(scene_id)
         folder = self.dataset.render_folder(scene_id)
-        recipe = self.settings.recipe(self.dataset, scene_id)
+        recipe = self.settings.recipe(self.dataset, source.digest)
         _forget_earlier(folder, "" if self.settings.wants_transients else recipe)
-        attributes = {**self._attributes(scene_id), "recipe": recipe}
-        measured = self._render_measurement(scene, attributes)
-        self._render_mirrored(scene, attributes)
+        edited = edited_attributes(self.dataset, scene_id, source.digest)
+        attributes = {**self._attributes(scene_id), **edited, "recipe": recipe}
+        measured = self._render_measurement(source, attributes)
+        self._render_mirrored(source, attributes)
         names = (*TRANSIENT_FILES, *IMAGE_FILES)
         files = {name: folder / name for name in names if (folder / name).is_file()}
         record = RenderRecord(
@@ -94,14 +112,25 @@ class Renderer:
             files={n: FileRecord(bytes=f.stat().st_size, sha256=sha256_of(f)) for n, f in files.items()},
         )
         write_record(folder, record)
+        forget_bad_render(folder, record)
         return record
 
-    def _render_measurement(self, scene: Scene, attributes: dict[str, str]) -> dict[str, str]:
+    def _read(self, scene_id: str) -> _Source:
+        folder = self.dataset.scene_folder(scene_id)
+        files = read_scene_folder(folder)
+        digest = digest_of(files)
+        if is_edited(self.dataset, scene_id, digest) and not self.settings.accept_edited:
+            refuse_edited(self.dataset, [scene_id])
+        return _Source(scene_of(files, folder), folder, files, digest)
+
+    def _render_measurement(self, source: _Source, attributes: dict[str, str]) -> dict[str, str]:
         """Write the phasors and, if wanted, the transient; return the attributes of these files."""
+        scene = source.scene
         folder = self.dataset.render_folder(scene.id)
-        view = View(self.layout, self.frequencies_hz, self.settings.bounces(self.dataset), scene.seed)
+        view = self._view(self.settings.bounces(self.dataset), scene.seed)
         try:
-            exposure = self._method.expose(self._load(scene.id, "scene.xml"), view)
+            loaded = scene_from_data(seen_description(scene), source.files, source.folder)
+            exposure = self._method.expose(loaded, view)
         except (SceneError, HiddenSurfaceError) as error:
             raise RenderError(f"scene {scene.id}: {error}") from None
         exact = exposure.phasors()
@@ -123,13 +152,14 @@ class Renderer:
         self._write(folder / MEASUREMENT_FILE, channels, attributes)
         return attributes
 
-    def _render_mirrored(self, scene: Scene, attributes: dict[str, str]) -> None:
+    def _render_mirrored(self, source: _Source, attributes: dict[str, str]) -> None:
+        scene = source.scene
         folder = self.dataset.render_folder(scene.id)
-        mirrored = self._load(scene.id, "mirrored.xml")
+        mirrored = scene_from_data(mirrored_description(scene), source.files, source.folder)
         if self.settings.wants_transients:
             # The two measurements of a scene need different random streams: their noise must be independent.
             seed = int(np.random.SeedSequence([scene.seed, 1]).generate_state(1)[0])
-            view = View(self.layout, self.frequencies_hz, 1, seed)
+            view = self._view(1, seed)
             exposure = self._mirrored_method.expose(mirrored, view)
             more = {**exposure.attributes, "seed": str(seed)}
             self._write_rows(exposure, folder / MIRRORED_TRANSIENT_FILE, attributes | more)
@@ -137,16 +167,25 @@ class Renderer:
         channels = trace_ground_truth(mirrored, *size, self.frequencies_hz[0]).channels()
         self._write(folder / GROUND_TRUTH_FILE, channels, attributes)
 
+    def _view(self, max_bounces: int, seed: int) -> View:
+        return View(self.layout, self.frequencies_hz, max_bounces, seed, self.settings.accept_lost_light)
+
     def _write_rows(
         self, exposure: Exposure, path: Path, attributes: dict[str, str]
     ) -> NDArray[np.complex128]:
         """Render a transient file in blocks of rows; return the (H, W, F) phasors of its bins."""
         what = f"scene {attributes['scene_id']}: {path.name}"
         phasors = []
-        with whole_file(path) as partial, TransientWriter(partial, self.layout, attributes) as writer:
-            for block in _finite(exposure.row_blocks(), what):
-                writer.write_rows(block)
-                phasors.append(self._phi.apply_streaming([block]))
+        try:
+            with whole_file(path) as partial, TransientWriter(partial, self.layout, attributes) as writer:
+                for block in _finite(exposure.row_blocks(), what):
+                    writer.write_rows(block)
+                    phasors.append(self._phi.apply_streaming([block]))
+        except LostLightError as error:
+            raise RenderError(
+                f"{what}: {error}: change start_opl_m and bin_count in [transient] of the preset, or accept "
+                "the loss with --accept-lost-light"
+            ) from None
         return np.concatenate(phasors)
 
     def _write(
@@ -159,19 +198,6 @@ class Renderer:
         with whole_file(path) as partial:
             write_image(partial, channels, attributes)
 
-    def _load(self, scene_id: str, name: str) -> mi.Scene:
-        import mitsuba as mi
-
-        file = self.dataset.scene_folder(scene_id) / name
-        if not file.is_file():
-            raise RenderError(f"{file} is missing: run night-gen scenes again")
-        try:
-            # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
-            return mi.load_file(str(file), optimize=False)
-        except RuntimeError as error:
-            reason = " ".join(str(error).split())
-            raise RenderError(f"Mitsuba cannot load {file}: {reason}") from None
-
     def _attributes(self, scene_id: str) -> dict[str, str]:
         return {
             "generator": f"night-render {version('night-nlos')}",
@@ -180,7 +206,7 @@ class Renderer:
             "variant": self.variant,
             "scene_id": scene_id,
             "method": self.settings.method,
-            "splat": "tent",
+            "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),
         }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from dataclasses import dataclass, field, replace
@@ -42,6 +41,9 @@ class RenderSettings:
     max_bounces : most surfaces that light may meet; None takes the preset's number.
     device : ``auto``, ``cpu`` or ``cuda``.
     resolution : (width, height) in pixels, with the camera's aspect ratio; None takes the preset's size.
+    accept_edited : whether to render scenes whose files are not those that ``dataset.json`` vouches for.
+
+    accept_lost_light : whether to write transients that lack hidden light from outside the time axis.
 
     Raises
     ------
@@ -53,6 +55,8 @@ class RenderSettings:
     max_bounces: int | None = None
     device: Device = "auto"
     resolution: tuple[int, int] | None = None
+    accept_edited: bool = False
+    accept_lost_light: bool = False
 
     def __post_init__(self) -> None:
         if self.product not in PRODUCTS:
@@ -101,16 +105,20 @@ class RenderSettings:
         """Most surfaces that light may meet."""
         return self.max_bounces or dataset.preset.transient.max_bounces
 
-    def recipe(self, dataset: Dataset, scene_id: str) -> str:
+    def recipe(self, dataset: Dataset, scene_sha256: str) -> str:
         """Everything that determines the pixels of a scene, as JSON. Equal recipes give equal renders.
 
         Device and program versions are not part of it, because they change pixels by rounding only.
 
-        Raises
-        ------
-        RenderError : the scene folder is missing or empty.
+        Parameters
+        ----------
+        scene_sha256 : digest of the scene's files (`scenegen.scene_folder.folder_digest`).
         """
-        return json.dumps({**self.common_recipe(dataset), "scene_sha256": scene_sha256(dataset, scene_id)})
+        return json.dumps({**self.common_recipe(dataset), "scene_sha256": scene_sha256})
+
+    def as_data(self, dataset: Dataset) -> dict[str, Any]:
+        """The settings as plain data, for a dataset."""
+        return {"product": self.product, "device": self.device, **self.common_recipe(dataset)}
 
     def common_recipe(self, dataset: Dataset) -> dict[str, Any]:
         """The part of a recipe that is the same for all scenes of a dataset."""
@@ -123,22 +131,6 @@ class RenderSettings:
             "bins": [layout.bin_count, layout.bin_width_m, layout.start_opl_m],
             "frequencies_hz": list(dataset.preset.itof.frequencies_hz),
         }
-
-
-def scene_sha256(dataset: Dataset, scene_id: str) -> str:
-    """SHA-256 of the names and contents of all files in a scene folder.
-
-    Raises
-    ------
-    RenderError : the folder is missing or empty.
-    """
-    digest = hashlib.sha256()
-    files = sorted(dataset.scene_folder(scene_id).glob("*"))
-    if not files:
-        raise RenderError(f"{dataset.scene_folder(scene_id)} is missing or empty: run night-gen scenes again")
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()
 
 
 def read_recipe(recipe: str) -> dict[str, Any]:
@@ -155,23 +147,25 @@ def settings_of(rendering: RenderingRecord, dataset: Dataset) -> RenderSettings:
 
     Raises
     ------
-    RenderError : a method, product or option that this version does not know.
+    RenderError : a method, product, option or size that this version does not know or cannot render.
     """
     camera = dataset.preset.camera
     size = (rendering.width, rendering.height)
     bounces = rendering.max_bounces
     try:
-        return RenderSettings(
+        settings = RenderSettings(
             product=rendering.product,  # type: ignore[arg-type]
             options=recorded_options(rendering.method, rendering.options),
             max_bounces=None if bounces == dataset.preset.transient.max_bounces else bounces,
             resolution=None if size == (camera.width, camera.height) else size,
         )
+        settings.layout(dataset)
     except (TypeError, ValueError) as error:
         raise RenderError(
             f"{dataset.renders / RENDERING_FILE} cannot be used ({error}): delete it and give the settings "
             "again"
         ) from None
+    return settings
 
 
 def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:

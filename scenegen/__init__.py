@@ -13,14 +13,19 @@ from scenegen.dataset import (
     SceneEntry,
     build_index,
     open_dataset,
+    scene_entry,
     write_index,
 )
 from scenegen.files.file_hashes import FileHashes, sha256_of
-from scenegen.files.whole_files import is_partial, whole_file, whole_folder, write_text
+from scenegen.files.inside import OutsideError, inside
+from scenegen.files.partials import is_partial, remove_leftovers
+from scenegen.files.path_like import PathLike
+from scenegen.files.whole_files import whole_file, whole_folder, write_text
 from scenegen.night_error import NightError
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, load_preset, preset_from_dict
 from scenegen.preset_files import PresetError, data_folder, read_settings
+from scenegen.recorded_files import RENDER_AGAIN, RenderFileError, is_recorded, recorded_file
 from scenegen.render_folder import (
     GROUND_TRUTH_FILE,
     IMAGE_FILES,
@@ -29,12 +34,16 @@ from scenegen.render_folder import (
     RECORD_FILE,
     TRANSIENT_FILE,
     TRANSIENT_FILES,
+    BadRender,
     FailureRecord,
     FileRecord,
     RenderRecord,
+    forget_bad_render,
+    read_bad_render,
     read_failure,
     read_record,
     remove_failure,
+    write_bad_render,
     write_failure,
     write_record,
 )
@@ -54,8 +63,10 @@ __all__ = [
     "MIRRORED_TRANSIENT_FILE",
     "RECORD_FILE",
     "RENDERING_FILE",
+    "RENDER_AGAIN",
     "TRANSIENT_FILE",
     "TRANSIENT_FILES",
+    "BadRender",
     "Camera",
     "ContractError",
     "Dataset",
@@ -65,8 +76,11 @@ __all__ = [
     "FileHashes",
     "FileRecord",
     "NightError",
+    "OutsideError",
+    "PathLike",
     "Preset",
     "PresetError",
+    "RenderFileError",
     "RenderRecord",
     "RenderingRecord",
     "SamplingError",
@@ -76,19 +90,26 @@ __all__ = [
     "build_index",
     "camera_axes",
     "data_folder",
+    "forget_bad_render",
+    "inside",
     "is_partial",
+    "is_recorded",
     "leaks",
     "load_preset",
     "open_dataset",
     "preset_from_dict",
+    "read_bad_render",
     "read_failure",
     "read_record",
     "read_rendering_record",
     "read_settings",
+    "recorded_file",
     "remove_failure",
+    "remove_leftovers",
     "rotation_matrix",
     "sample_scene",
     "sample_valid_scene",
+    "scene_entry",
     "scene_from_json",
     "scene_id",
     "scene_to_json",
@@ -97,6 +118,7 @@ __all__ = [
     "wall_normal",
     "whole_file",
     "whole_folder",
+    "write_bad_render",
     "write_failure",
     "write_index",
     "write_record",

@@ -6,7 +6,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 
 @contextmanager
@@ -14,12 +14,19 @@ def silenced(descriptor: int) -> Iterator[None]:
     """Discard everything that is written to a file descriptor: 1 (stdout) or 2 (stderr).
 
     Python's output before and after is kept. Output of other threads in the meantime is discarded, too.
+    Nothing happens to a descriptor that is closed.
     """
     libc = ctypes.CDLL(None)
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # as in a program that was started with 2>&-
+            with suppress(OSError):  # a full disk: whoever prints there next learns of it
+                stream.flush()
     libc.fflush(None)
-    kept = os.dup(descriptor)
+    try:
+        kept = os.dup(descriptor)
+    except OSError:
+        yield
+        return
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, descriptor)
     try:

@@ -16,7 +16,8 @@ STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 WholeCount = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Vector = tuple[float, float, float]
+_Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # metres or degrees, also beyond those of presets
+Vector = tuple[_Coordinate, _Coordinate, _Coordinate]
 Metres = Annotated[float, Field(ge=-1000, le=1000)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 Length = Annotated[float, Field(ge=1e-4, le=1000)]  # metres; float32 coordinates cannot hold thinner objects
@@ -26,6 +27,7 @@ Rotation = tuple[Degrees, Degrees, Degrees]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Roughness = Annotated[float, Field(gt=0, le=1)]
 FieldOfView = Annotated[float, Field(ge=1, le=170)]  # degrees
+_MOST_CHARACTERS = 100  # of a value in a message
 
 
 class ContractError(NightError):
@@ -62,6 +64,12 @@ def checked(
         elif first["type"] == "missing":
             problem = f"key {key} is missing"
         else:
-            given = f" (got {first['input']!r})" if not isinstance(first["input"], dict) else ""
+            given = f" (got {_shortened(first['input'])})" if not isinstance(first["input"], dict) else ""
             problem = f"{key}: {first['msg'].removeprefix('Value error, ')}{given}"
         raise refusal(f"{origin}: {problem}") from None
+
+
+def _shortened(value: object) -> str:
+    """A value as text for a message; the middle of a long one is left out."""
+    text, half = repr(value), _MOST_CHARACTERS // 2
+    return text if len(text) <= _MOST_CHARACTERS else f"{text[:half]}...{text[-half:]}"

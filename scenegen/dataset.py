@@ -1,7 +1,7 @@
 """The dataset folder, through which all stages exchange their files (docs/files.md).
 
 It contains ``dataset.json``, ``scenes/<id>/{scene.json,scene.xml,mirrored.xml,*.ply}``, ``renders/<id>/...``
-and ``shards/...``; ids are zero-padded indices.
+and ``shards/...``; ids are zero-padded indices. No path of a `Dataset` leads out of its folder.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass as plain_dataclass
+from dataclasses import field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -19,13 +20,18 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from scenegen.contract import STRICT, ContractError, checked
+from scenegen.files.inside import inside
+from scenegen.files.path_like import PathLike
 from scenegen.files.whole_files import write_text
 from scenegen.night_error import NightError
 from scenegen.preset import Preset
+from scenegen.render_folder import Sha256
 from scenegen.rendering_record import RenderingRecord, read_rendering_record
-from scenegen.scene import Scene, Split, scene_from_json, scene_id
+from scenegen.scene import Scene, Split
+from scenegen.scene_folder import SCENE_FILE, digest_of, scene_of
 
-DATASET_SCHEMAS = (1, 2, 3)  # readable; the newest is written
+DATASET_SCHEMAS = (1, 2, 3, 4)  # readable; the newest is written
+_DIGESTS_SINCE = 4
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
 
@@ -35,11 +41,18 @@ class DatasetError(NightError):
 
 @dataclass(frozen=True, config=STRICT)
 class SceneEntry:
-    """Id, class and split of one scene."""
+    """Id, class and split of one scene.
 
-    id: str
+    `sha256` is the digest of its folder (`scenegen.scene_folder.digest_of`) as night-gen made it; None before
+    schema 4. The text form has no digest, because the hash of training data is made from it.
+    """
+
+    id: Annotated[str, Field(pattern=r"^[0-9]{6,}$")]
     object_class: str
     split: Split
+    sha256: Annotated[Sha256 | None, Field(exclude_if=lambda value: value is None)] = field(
+        default=None, repr=False
+    )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -66,7 +79,13 @@ class DatasetIndex:
     packages: dict[str, str] = Field(default_factory=dict)
     meshes: dict[str, str] = Field(default_factory=dict)
     rendering: RenderingRecord | None = Field(default=None, exclude_if=lambda value: value is None)
-    schema_version: Literal[1, 2, 3] = 3
+    schema_version: Literal[1, 2, 3, 4] = 4
+
+    def __post_init__(self) -> None:
+        if len({entry.id for entry in self.scenes}) < len(self.scenes):
+            raise ValueError("two scenes have the same id")
+        if self.schema_version >= _DIGESTS_SINCE and not all(entry.sha256 for entry in self.scenes):
+            raise ValueError(f"a scene has no sha256, which schema {_DIGESTS_SINCE} must have")
 
 
 @plain_dataclass(frozen=True)
@@ -94,10 +113,10 @@ class Dataset:
         except ContractError as error:
             raise DatasetError(str(error)) from None
 
-    @property
+    @cached_property
     def renders(self) -> Path:
         """Folder of all renders."""
-        return self.root / "renders"
+        return inside(self.root, "renders")
 
     def ids(self, split: Split | None = None) -> list[str]:
         """Scene ids in ascending order, of one split or of all scenes."""
@@ -121,37 +140,41 @@ class Dataset:
     def _entries(self) -> dict[str, SceneEntry]:
         return {entry.id: entry for entry in self.index.scenes}
 
+    @cached_property
+    def _scenes(self) -> Path:
+        return inside(self.root, "scenes")
+
     def scene_folder(self, scene: str) -> Path:
         """Folder of a scene's description and meshes."""
-        return self.root / "scenes" / scene
+        return inside(self._scenes, scene)
 
     def render_folder(self, scene: str) -> Path:
         """Folder of a scene's renders."""
-        return self.renders / scene
+        return inside(self.renders, scene)
 
     @property
     def shard_folder(self) -> Path:
         """Folder of the arrays that training reads."""
-        return self.root / "shards"
+        return inside(self.root, "shards")
 
     def scene(self, scene: str) -> Scene:
         """The scene's data; `DatasetError` when its file is missing or damaged."""
-        file = self.scene_folder(scene) / "scene.json"
+        folder = self.scene_folder(scene)
         try:
-            text = file.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise DatasetError(f"{file} is missing: run night-gen scenes again") from None
-        except UnicodeDecodeError as error:
-            raise DatasetError(f"{file} cannot be read: {error}") from None
-        try:
-            return scene_from_json(text, str(file))
+            file = inside(folder, SCENE_FILE)
+            return scene_of({SCENE_FILE: file.read_bytes()} if file.is_file() else {}, folder)
         except ContractError as error:
             raise DatasetError(str(error)) from None
 
 
+def scene_entry(scene: Scene, files: Mapping[str, bytes]) -> SceneEntry:
+    """Entry of a scene whose folder has these files."""
+    return SceneEntry(scene.id, scene.object_class, scene.split, digest_of(files))
+
+
 def build_index(
     preset: Preset,
-    scenes: Iterable[Scene],
+    scenes: Iterable[SceneEntry],
     blender_version: str,
     *,
     meshes: Mapping[str, str] = MappingProxyType({}),
@@ -163,30 +186,33 @@ def build_index(
         blender_version=blender_version,
         seed=preset.dataset.seed,
         preset=preset,
-        scenes=tuple(
-            SceneEntry(id=scene_id(s.index), object_class=s.object_class, split=s.split) for s in scenes
-        ),
+        scenes=tuple(scenes),
         packages={name: version(name) for name in _PACKAGES},
         meshes=dict(meshes),
     )
 
 
-def write_index(root: Path, index: DatasetIndex) -> None:
+def write_index(root: PathLike, index: DatasetIndex) -> None:
     """Write ``dataset.json``, complete or not at all."""
-    write_text(root / "dataset.json", TypeAdapter(DatasetIndex).dump_json(index, indent=2).decode() + "\n")
+    text = TypeAdapter(DatasetIndex).dump_json(index, indent=2).decode()
+    write_text(Path(root, "dataset.json"), text + "\n")
 
 
-def open_dataset(root: Path) -> Dataset:
+def open_dataset(root: PathLike) -> Dataset:
     """Open a dataset folder.
 
     Raises
     ------
     DatasetError : the folder is missing, is not a dataset, or has another schema, or its ``dataset.json`` is
         damaged; the message names the key.
+    OutsideError : its folder of scenes, renders or shards is a symbolic link that leads out of it.
     """
+    root = Path(root)
     file = root / "dataset.json"
     if not root.is_dir():
         raise DatasetError(f"there is no folder {root}: make a dataset with night-gen scenes {root}")
+    if file.exists() and not file.is_file():
+        raise DatasetError(f"{file} is not a file: choose another folder")
     try:
         text = file.read_text(encoding="utf-8")
         data = json.loads(text)
@@ -202,4 +228,6 @@ def open_dataset(root: Path) -> Dataset:
             f"{file} has schema version {schema}, this program reads versions up to {DATASET_SCHEMAS[-1]}: "
             "make the dataset again, or use the version of NIGHT that made it"
         )
+    for name in ("scenes", "renders", "shards"):
+        inside(root, name)
     return Dataset(root, checked(TypeAdapter(DatasetIndex), text, str(file), DatasetError))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import cos, radians, sin
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,3 +31,22 @@ def wall_normal(wall: Wall) -> NDArray[np.float64]:
     """(3,) unit normal of a wall's front in world space: +z before the rotation."""
     normal: NDArray[np.float64] = rotation_matrix(wall.rotation_deg)[:, 2]
     return normal
+
+
+def blender_matrix(location_m: Vector, rotation_deg: Vector) -> NDArray[np.float64]:
+    """(4, 4) pose of an object without scale: the numbers of Blender's `matrix_world`, which are float32.
+
+    Blender keeps locations and angles in radians as float32, multiplies sines and cosines in float64, and
+    rounds the result to float32.
+
+    Source: `eulO_to_mat3` in Blender's math_rotation_c.cc.
+    """
+    x, y, z = (float(np.float32(radians(angle))) for angle in rotation_deg)
+    cc, cs, sc, ss = cos(x) * cos(z), cos(x) * sin(z), sin(x) * cos(z), sin(x) * sin(z)
+    matrix = [
+        [cos(y) * cos(z), sin(y) * sc - cs, sin(y) * cc + ss, location_m[0]],
+        [cos(y) * sin(z), sin(y) * ss + cc, sin(y) * cs - sc, location_m[1]],
+        [-sin(y), cos(y) * sin(x), cos(y) * cos(x), location_m[2]],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+    return np.array(matrix, np.float32).astype(np.float64)

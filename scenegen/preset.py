@@ -26,6 +26,7 @@ from scenegen.contract import (
     Roughness,
     checked,
 )
+from scenegen.files.path_like import PathLike
 from scenegen.preset_files import PresetError, read_settings
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
@@ -193,6 +194,17 @@ class ItofSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
+class GroundTruthSettings:
+    """What the mirrored scenes of the ground truth contain.
+
+    `mirror_occluders`: whether the mirror image of the middle wall hides objects, as in a real mirror. The
+    paper's mirrored scenes have the mirror image of the object only.
+    """
+
+    mirror_occluders: bool = False
+
+
+@dataclass(frozen=True, config=STRICT)
 class Preset:
     """All settings of a dataset. The default of every key is the paper's value."""
 
@@ -203,6 +215,10 @@ class Preset:
     camera: CameraSettings = CameraSettings()
     transient: TransientSettings = TransientSettings()
     itof: ItofSettings = ItofSettings()
+    # Left out of files where it is the paper's, so that they have the bytes of version 0.1.
+    ground_truth: Annotated[
+        GroundTruthSettings, Field(exclude_if=lambda value: value == GroundTruthSettings())
+    ] = GroundTruthSettings()
 
     def __post_init__(self) -> None:
         if self.hidden_object.composite_fraction > 0 and len(self.hidden_object.shapes) < 2:
@@ -237,7 +253,7 @@ def preset_from_dict(data: dict[str, Any], origin: str) -> Preset:
     return preset
 
 
-def load_preset(name_or_file: str) -> Preset:
+def load_preset(name_or_file: PathLike) -> Preset:
     """Read a preset by its name in data/presets (``paper``, ``demo``, ...) or from a TOML file.
 
     Raises

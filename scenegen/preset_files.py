@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sysconfig
 import tomllib
 from pathlib import Path
 from typing import Any
 
+from scenegen.files.path_like import PathLike
 from scenegen.night_error import NightError
 
 
@@ -14,7 +16,7 @@ class PresetError(NightError):
     """A preset that is missing, cannot be read, or asks for something impossible."""
 
 
-def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
+def read_settings(kind: str, name_or_file: PathLike) -> tuple[dict[str, Any], str]:
     """Read a TOML file, given by its path or by its name in data/<kind>.
 
     Parameters
@@ -31,14 +33,16 @@ def read_settings(kind: str, name_or_file: str) -> tuple[dict[str, Any], str]:
     PresetError : there is no such file, or it is not TOML.
     """
     named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
-    file = named.get(name_or_file, Path(name_or_file))
+    file = named.get(os.fspath(name_or_file), Path(name_or_file))
     try:
         return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
     except (FileNotFoundError, IsADirectoryError):
         raise PresetError(
             f"no preset {name_or_file}: give a .toml file or one of {', '.join(sorted(named))}"
         ) from None
-    except (ValueError, RecursionError, OSError) as error:  # also numbers too long, and tables too deep
+    except OSError as error:
+        raise PresetError(f"{file} cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:  # also numbers too long, and tables too deep
         raise PresetError(f"{file} cannot be read as TOML: {error}") from None
 
 

@@ -121,7 +121,7 @@ def showing_progress(
     description : name of the work.
     initial : units that were done before this work began.
     """
-    if show and sys.stderr.isatty():
+    if show and sys.stderr is not None and sys.stderr.isatty():
         bar: AbstractContextManager[Progress] = tqdm(
             total=total, unit=unit, desc=description or None, initial=initial
         )

@@ -2,6 +2,9 @@
 
 ``render.json`` is written last: a scene without it is not rendered. It contains nothing that differs between
 two runs of the same work (no time, no host): the same scene and the same settings give the same bytes.
+
+``bad.json`` remembers a render that ``night-render verify`` found wrong, though its files are as they were
+written. If the next render of the scene has the same bytes, the fault is in the program.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from scenegen.contract import STRICT, ContractError, checked
+from scenegen.files.file_hashes import sha256_of
+from scenegen.files.path_like import PathLike
 from scenegen.files.whole_files import write_text
 
 MEASUREMENT_FILE, GROUND_TRUTH_FILE = "itof.exr", "mirrored.exr"
@@ -20,8 +25,11 @@ TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE = "transient.exr", "mirrored_transient.e
 IMAGE_FILES = (MEASUREMENT_FILE, GROUND_TRUTH_FILE)
 TRANSIENT_FILES = (TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE)
 RECORD_FILE, FAILURE_FILE, FAILURE_LOG = "render.json", "failure.json", "failure.log"
+BAD_FILE = "bad.json"
 Contents = TypeVar("Contents")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+# The name of a file in a record becomes part of a path, so it must be one of the names above.
+RenderFileName = Annotated[str, Field(pattern=r"^(mirrored_)?transient\.exr$|^(itof|mirrored)\.exr$")]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -46,7 +54,7 @@ class RenderRecord:
 
     recipe: str
     attributes: dict[str, str]
-    files: dict[str, FileRecord]
+    files: dict[RenderFileName, FileRecord]
     schema_version: Literal[1] = 1
 
 
@@ -67,35 +75,93 @@ class FailureRecord:
     schema_version: Literal[1] = 1
 
 
-def read_record(folder: Path) -> RenderRecord | None:
+@dataclass(frozen=True, config=STRICT)
+class BadRender:
+    """Contents of ``bad.json``: a render that is wrong though its files are as they were written.
+
+    Attributes
+    ----------
+    recipe, files : as in its `RenderRecord`, which was deleted so that the scene is rendered again.
+    problems : what was found wrong, as sentences.
+    """
+
+    recipe: str
+    files: dict[RenderFileName, FileRecord]
+    problems: tuple[str, ...]
+    schema_version: Literal[1] = 1
+
+    def is_again(self, record: RenderRecord) -> bool:
+        """Whether a render has the same bytes: then rendering once more does not help."""
+        return (self.recipe, self.files) == (record.recipe, record.files)
+
+
+def read_record(folder: PathLike) -> RenderRecord | None:
     """Record of a render folder; None when it is missing or damaged."""
-    return _read(TypeAdapter(RenderRecord), folder / RECORD_FILE)
+    return _read(TypeAdapter(RenderRecord), Path(folder, RECORD_FILE))
 
 
-def write_record(folder: Path, record: RenderRecord) -> None:
+def write_record(folder: PathLike, record: RenderRecord) -> None:
     """Write ``render.json``, complete or not at all."""
-    write_text(folder / RECORD_FILE, TypeAdapter(RenderRecord).dump_json(record, indent=1).decode() + "\n")
+    text = TypeAdapter(RenderRecord).dump_json(record, indent=1).decode()
+    write_text(Path(folder, RECORD_FILE), text + "\n")
 
 
-def read_failure(folder: Path) -> FailureRecord | None:
+def difference(file: Path, expected: FileRecord) -> str | None:
+    """How a file differs from its record, as a predicate; None if it is the recorded one.
+
+    Raises
+    ------
+    OSError : the file cannot be read.
+    """
+    if not file.is_file():
+        return "is missing"
+    if file.stat().st_size != expected.bytes:
+        return f"has {file.stat().st_size} bytes instead of {expected.bytes}"
+    if sha256_of(file) != expected.sha256:
+        return "is not what was written (its SHA-256 differs)"
+    return None
+
+
+def read_failure(folder: PathLike) -> FailureRecord | None:
     """Failure record of a render folder; None when it is missing or damaged."""
-    return _read(TypeAdapter(FailureRecord), folder / FAILURE_FILE)
+    return _read(TypeAdapter(FailureRecord), Path(folder, FAILURE_FILE))
 
 
-def write_failure(folder: Path, failure: FailureRecord, log: str) -> None:
+def write_failure(folder: PathLike, failure: FailureRecord, log: str) -> None:
     """Write ``failure.log`` and ``failure.json``, each complete or not at all."""
-    write_text(folder / FAILURE_LOG, log)
-    write_text(folder / FAILURE_FILE, TypeAdapter(FailureRecord).dump_json(failure, indent=1).decode() + "\n")
+    write_text(Path(folder, FAILURE_LOG), log)
+    text = TypeAdapter(FailureRecord).dump_json(failure, indent=1).decode()
+    write_text(Path(folder, FAILURE_FILE), text + "\n")
 
 
-def remove_failure(folder: Path) -> None:
+def remove_failure(folder: PathLike) -> None:
     """Remove the failure record and its log, if there are any."""
     for name in (FAILURE_FILE, FAILURE_LOG):
-        (folder / name).unlink(missing_ok=True)
+        Path(folder, name).unlink(missing_ok=True)
+
+
+def read_bad_render(folder: PathLike) -> BadRender | None:
+    """The bad render that a render folder remembers; None when ``bad.json`` is missing or damaged."""
+    return _read(TypeAdapter(BadRender), Path(folder, BAD_FILE))
+
+
+def write_bad_render(folder: PathLike, bad: BadRender) -> None:
+    """Write ``bad.json``, complete or not at all."""
+    text = TypeAdapter(BadRender).dump_json(bad, indent=1).decode()
+    write_text(Path(folder, BAD_FILE), text + "\n")
+
+
+def forget_bad_render(folder: PathLike, record: RenderRecord) -> None:
+    """Remove ``bad.json``, unless `record` is a render with the same bytes."""
+    bad = read_bad_render(folder)
+    if bad is None or not bad.is_again(record):
+        Path(folder, BAD_FILE).unlink(missing_ok=True)
 
 
 def _read(adapter: TypeAdapter[Contents], file: Path) -> Contents | None:
     try:
+        if not file.is_file():  # also a pipe or a device, which could be read for ever
+            return None
         contents: Contents = checked(adapter, file.read_bytes(), str(file))
     except (OSError, ContractError):
         return None

@@ -13,6 +13,7 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from scenegen.contract import STRICT, WholeCount, checked
+from scenegen.files.path_like import PathLike
 from scenegen.files.whole_files import write_text
 
 RENDERING_FILE = "rendering.json"
@@ -46,7 +47,7 @@ class RenderingRecord:
     schema_version: Literal[1] = 1
 
 
-def read_rendering_record(renders: Path) -> RenderingRecord | None:
+def read_rendering_record(renders: PathLike) -> RenderingRecord | None:
     """Read the record in a folder of renders; None when there is none.
 
     Raises
@@ -54,14 +55,14 @@ def read_rendering_record(renders: Path) -> RenderingRecord | None:
     ContractError : the file is damaged; the message names the key.
     OSError : the file cannot be read.
     """
-    file = renders / RENDERING_FILE
+    file = Path(renders, RENDERING_FILE)
     if not file.exists():
         return None
     record: RenderingRecord = checked(TypeAdapter(RenderingRecord), file.read_bytes(), str(file))
     return record
 
 
-def write_rendering_record(renders: Path, record: RenderingRecord) -> None:
+def write_rendering_record(renders: PathLike, record: RenderingRecord) -> None:
     """Write ``rendering.json``, complete or not at all."""
     text = TypeAdapter(RenderingRecord).dump_json(record, indent=2).decode()
-    write_text(renders / RENDERING_FILE, text + "\n")
+    write_text(Path(renders, RENDERING_FILE), text + "\n")

@@ -63,6 +63,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
             irradiance=1.0,
         ),
         max_bounces=preset.transient.max_bounces,
+        mirror_occluders=preset.ground_truth.mirror_occluders,
     )
 
 

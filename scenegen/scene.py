@@ -17,7 +17,7 @@ from scenegen.contract import (
     Vector,
     checked,
 )
-from scenegen.preset import CameraSettings, Material
+from scenegen.preset import MOST_BOUNCES, CameraSettings, Material
 from scenegen.shapes import Shape
 
 COMPOSITE = "composite"
@@ -70,7 +70,7 @@ class Emitter:
     horizontal_fov_deg: FieldOfView
     location_m: Vector
     rotation_deg: Vector
-    irradiance: Positive
+    irradiance: Annotated[float, Field(gt=0, le=1e12)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -85,6 +85,7 @@ class Scene:
     object_class : a shape, or ``composite``.
     split : train, validation or test.
     max_bounces : number of surfaces that light may meet.
+    mirror_occluders : whether the mirrored scene has the mirror image of the middle wall.
     """
 
     index: Annotated[int, Field(ge=0)]
@@ -98,7 +99,8 @@ class Scene:
     middle_wall: Wall
     camera: Camera
     emitter: Emitter
-    max_bounces: Annotated[int, Field(ge=1)]
+    max_bounces: Annotated[int, Field(ge=1, le=MOST_BOUNCES)]
+    mirror_occluders: Annotated[bool, Field(exclude_if=lambda value: value is False)] = False
     schema_version: Literal[1] = 1
 
     @property

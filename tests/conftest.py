@@ -184,13 +184,11 @@ def transient_bins(transient_dataset):
 @pytest.fixture(scope="session")
 def four_shapes(make_dataset, variant):
     """The scenes named in `many_light_scenes.SHAPES`, loaded from the files that night-gen writes."""
-    import mitsuba as mi
+    from render.transport.scene_loading import load_scene
 
-    def load(preset):
-        folder = make_dataset(preset).scene_folder("000000")
-        return mi.load_file(str(folder / "scene.xml"), optimize=False)
-
-    return {name: load(preset) for name, preset in many_light_scenes.SHAPES.items()}
+    return {
+        name: load_scene(make_dataset(preset), "000000") for name, preset in many_light_scenes.SHAPES.items()
+    }
 
 
 @pytest.fixture(scope="session")

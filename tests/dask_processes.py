@@ -12,8 +12,8 @@ _START_S = 60  # the limit only keeps a broken test from hanging
 
 
 @contextmanager
-def dask_processes(folder, *workers):
-    """Start a scheduler, and a `dask worker` with each of the given lists of options.
+def dask_processes(folder, *workers, scheduler=()):
+    """Start a scheduler with some options, and a `dask worker` with each of the given lists of options.
 
     Workers may still be starting when the block begins.
 
@@ -23,7 +23,7 @@ def dask_processes(folder, *workers):
     """
     announced = folder / "scheduler.json"
     # Idle for an hour, it closes with its workers: should the tests be killed, nothing stays.
-    options = ["--host", "127.0.0.1", "--port", "0", "--idle-timeout", "1 hour"]
+    options = [*scheduler, "--host", "127.0.0.1", "--port", "0", "--idle-timeout", "1 hour"]
     running = [_dask("scheduler", *options, "--scheduler-file", announced)]
     try:
         address = _address(running[0], announced)

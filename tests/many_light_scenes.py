@@ -190,8 +190,10 @@ class Corner:
         }
 
 
-def expose(scene, variant, *, lights=1024, seed=1, layout=LAYOUT, max_bounces=3):
-    view = View(layout, FREQUENCIES_HZ, max_bounces, seed)
+def expose(
+    scene, variant, *, lights=1024, seed=1, layout=LAYOUT, max_bounces=3, frequencies_hz=FREQUENCIES_HZ
+):
+    view = View(layout, frequencies_hz, max_bounces, seed)
     return ManyLight(ManyLightOptions(lights=lights), variant).expose(scene, view)
 
 
@@ -200,8 +202,8 @@ def measure(scene, variant, **options):
 
 
 def path_phasors(scene, variant, *, seeds, spp, layout=LAYOUT, max_bounces=3):
-    """(runs, H, W, F) phasors by path tracing, Φ of tent-splatted bins."""
-    phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="tent")
+    """(runs, H, W, F) phasors by path tracing, Φ of their bins."""
+    phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="quadratic")
     method = PathTracer(PathOptions(spp=spp), variant)
     views = (View(layout, FREQUENCIES_HZ, max_bounces, seed) for seed in seeds)
     return np.array([phi.apply_streaming(method.expose(scene, view).row_blocks()) for view in views])

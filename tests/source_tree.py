@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("scenegen", "itof", "render", "model", "commandline", "cli")
+ROOMS = ("scenegen", "itof", "render", "model", "commandline", "cli", "night_nlos")
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from scenegen import (
     open_dataset,
     preset_from_dict,
     sample_scene,
+    scene_entry,
     scene_to_json,
     wall_normal,
     write_index,
@@ -52,7 +53,8 @@ def write_synthetic_dataset(
     scenes = [sample_scene(resolved, index) for index in range(count)]
     for scene in scenes:
         write_text(root / "scenes" / scene.id / "scene.json", scene_to_json(scene))
-    write_index(root, build_index(resolved, scenes, "none"))
+    entries = [scene_entry(scene, {"scene.json": scene_to_json(scene).encode()}) for scene in scenes]
+    write_index(root, build_index(resolved, entries, "none"))
     dataset = open_dataset(root)
     for scene in scenes:
         write_synthetic_render(dataset, scene, width, height)

@@ -90,8 +90,14 @@ TABLE = [
     ("night-render convert {data} --to itof --out {out} --frequencies inf", "a number of MHz above 0"),
     ("night-render convert {data} --to itof --out {out} --frequencies 1e400", "a number of MHz above 0"),
     ("night-render convert {data} --to itof --out {out} --frequencies 1e99999999999999999999", "no list of"),
-    ("night-render convert {data} --to itof --out {out} --frequencies 15000", "cannot resolve 15000 MHz"),
-    ("night-render convert {data} --to itof --out {out} --frequencies 1e300", "cannot resolve 1e+300 MHz"),
+    (
+        "night-render convert {data} --to itof --out {out} --frequencies 15000",
+        "cannot carry a hidden signal at 15000 MHz",
+    ),
+    (
+        "night-render convert {data} --to itof --out {out} --frequencies 1e300",
+        "cannot carry a hidden signal at 1e+300 MHz",
+    ),
     ("night-render drop-transients {folder}", "{folder} is not a NIGHT dataset"),
     ("night-render drop-transients {data} --only 000099", "no scene 000099"),
     # night-train
@@ -129,7 +135,7 @@ TABLE = [
     ("night-eval {folder} {data} --out {out}", "training run (it has no run.json)"),
     ("night-eval {run} {folder} --out {out}", "{folder} is not a NIGHT dataset"),
     ("night-eval {run} {data} --out {file}", "{file} is a file"),
-    ("night-eval {run} {data} --out {folder}", "{folder} is not empty"),
+    ("night-eval {run} {data} --out {folder}", "holds other things than an earlier report: diary.txt; move"),
     ("night-eval {run} {data} --out {out} --split all", "'all' is not one of 'train', 'validation', 'test'"),
     ("night-eval {run} {data} --out {out} --mask-threshold nan", "a mask threshold"),
     ("night-eval {run} {data} --out {out} --mask-threshold inf", "a mask threshold"),
@@ -141,7 +147,10 @@ TABLE = [
     ("night-eval predict {run} {scene}/transient.exr --out {out}", "transient.exr holds no phasors"),
     ("night-eval predict {run} {scene}/mirrored.exr --out {out}", "the network also needs 50, 60 MHz"),
     ("night-eval predict {run} {scene}/itof.exr --out {file}", "{file} is a file"),
-    ("night-eval predict {run} {scene}/itof.exr --out {folder}", "{folder} is not empty"),
+    (
+        "night-eval predict {run} {scene}/itof.exr --out {folder}",
+        "holds other things than an earlier prediction: diary.txt; move",
+    ),
     ("night-eval export {run} --out {out}", "give a file that ends in .onnx"),
     ("night-eval export {folder} --out {out}.onnx", "training run (it has no run.json)"),
 ]

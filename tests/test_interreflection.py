@@ -57,6 +57,6 @@ def test_transients_of_more_bounces_are_those_of_the_same_lights(variant, tmp_pa
     layout = replace(LONG, width=24, height=18)
     exposure = expose(scene, variant, lights=256, layout=layout, max_bounces=5)
     exact = exposure.phasors()
-    phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="tent")
+    phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="quadratic")
     error = np.linalg.norm(phi.apply_streaming(exposure.row_blocks()) - exact.total, axis=(0, 1))
     assert np.all(error < 0.01 * np.linalg.norm(exact.hidden, axis=(0, 1)))

@@ -117,7 +117,7 @@ def test_residual_channels_see_a_hidden_return_to_first_order():
     unit = reference / np.abs(reference)
     reference = unit
     hidden = 2e-3 * np.exp(1j * phase_per_metre(FREQUENCIES_HZ) * 9.0) * np.ones_like(unit)
-    residual = residual_channels(unit + hidden, reference)
+    residual = residual_channels(unit + hidden, reference, "uniform")
     turned = hidden * np.conj(unit)
     expected = np.concatenate([turned.imag, turned.real[..., 1:] - turned.real[..., :1]], axis=-1)
     # Dividing by |z_20| instead of 1 changes the hidden part by its own relative size.

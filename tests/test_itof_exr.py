@@ -89,14 +89,21 @@ def test_a_path_may_be_text(tmp_path, cube):
         TransientReader(str(tmp_path / "nowhere.exr"))
 
 
-def test_a_file_that_says_tent_has_the_tent_divided_out(tmp_path):
+def test_the_transfer_function_of_a_files_splat_is_divided_out(tmp_path):
     cube = np.random.default_rng(1).random((7, 5, 11), dtype=np.float32)
-    for splat in ("tent", "point"):
+    for splat in ("quadratic", "tent", "point"):
         with TransientWriter(tmp_path / f"{splat}.exr", LAYOUT, {"splat": splat}) as writer:
             writer.write_rows(cube)
         with TransientReader(tmp_path / f"{splat}.exr") as reader:
             expected = MeasurementMatrix((60e6,), 11, 0.01, 0.3, splat=splat).apply(cube)
             np.testing.assert_allclose(reader.phasors([60e6]), expected, rtol=1e-12)
+    with TransientWriter(tmp_path / "new.exr", LAYOUT, {"splat": "cubic"}) as writer:
+        writer.write_rows(cube)
+    with (
+        TransientReader(tmp_path / "new.exr") as reader,
+        pytest.raises(ImageFileError, match=r"new\.exr .* 'cubic' and not one of point, tent, quadratic"),
+    ):
+        reader.phasors([60e6])
 
 
 def test_strided_channels_are_stored_as_they_look(tmp_path):

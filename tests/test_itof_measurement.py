@@ -55,23 +55,30 @@ def test_a_tent_splat_between_two_bins_has_the_phase_of_the_return():
 
 
 @pytest.mark.parametrize("frequency_hz", FREQUENCIES_HZ)
-def test_the_tent_matrix_undoes_the_splat_of_a_box_pulse(frequency_hz):
-    # Light spread evenly from bin centre 100 to 140, split linearly: each bin gets 1, the outermost 1/2.
-    # Its phasor is the pulse's times x cot x = 1 - x^2/3 - x^4/45 with x = kw/2, and the tent's transfer
+@pytest.mark.parametrize(
+    ("splat", "edge", "share", "order"),
+    [("tent", [0.5], 240, 2), ("quadratic", [1 / 48, 1 / 2, 47 / 48], 822, 3)],
+)
+def test_the_matrix_undoes_the_splat_of_a_box_pulse(frequency_hz, splat, edge, share, order):
+    # Light spread evenly from bin centre 100 to 140: each bin gets 1, those around the ends get `edge`.
+    # Tent: its phasor is the pulse's times x cot x = 1 - x^2/3 - x^4/45 with x = kw/2, and the transfer
     # function is sinc^2 x = 1 - x^2/3 + 2x^4/45: they differ by x^4/15 = (kw)^4 / 240, 1e-10 at 60 MHz.
+    # Quadratic: aliases of the pulse leave sum_m (-1)^m (kw / 2πm)^4 over m != 0, 7/5760 = 1/822.9 of (kw)^4.
     width_m, first, last = 0.01, 100, 140
     transient = np.zeros(500)
     transient[first : last + 1] = 1
-    transient[[first, last]] = 0.5
+    reach = len(edge) // 2
+    transient[first - reach : first + reach + 1] = edge
+    transient[last - reach : last + reach + 1] = edge[::-1]
     k = 2 * np.pi * frequency_hz / SPEED_OF_LIGHT
     ends_m = (np.array([first, last]) + 0.5) * width_m
     exact = np.diff(np.exp(1j * k * ends_m))[0] / (1j * k * width_m)  # integral over the pulse, per bin
     error = {
-        splat: MeasurementMatrix((frequency_hz,), 500, width_m, splat=splat).apply(transient)[0] / exact - 1
-        for splat in ("point", "tent")
+        name: MeasurementMatrix((frequency_hz,), 500, width_m, splat=name).apply(transient)[0] / exact - 1
+        for name in ("point", splat)
     }
-    assert abs(error["tent"]) < 1.01 * (k * width_m) ** 4 / 240 + 1e-13
-    assert error["point"] == pytest.approx(-((k * width_m) ** 2) / 12, abs=(k * width_m) ** 4)
+    assert abs(error[splat]) < 1.01 * (k * width_m) ** 4 / share + 1e-13
+    assert error["point"] == pytest.approx(-order * (k * width_m) ** 2 / 24, abs=(k * width_m) ** 4)
 
 
 def test_streaming_over_row_blocks_equals_the_whole_cube():

@@ -11,19 +11,13 @@ from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight
 from render.transport.method import View
 
-SEEDS = range(8)
+SEEDS = range(16)
 
 
 @pytest.fixture(scope="module")
-def unpiloted(variant):
-    """Hidden phasors of a fixed number of lights, without the pilot that estimates their error."""
-
-    def measured(scene, lights, seed):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ManyLight, "_count_and_error", lambda *_: (lights, 0.0))
-            return measure(scene, variant, lights=lights, seed=seed, layout=SMALL).hidden
-
-    return measured
+def hidden(variant):
+    """(scene, lights, seed) -> hidden phasors."""
+    return lambda scene, lights, seed: measure(scene, variant, lights=lights, seed=seed, layout=SMALL).hidden
 
 
 # A patch, whose hidden phasors are known by quadrature
@@ -35,13 +29,13 @@ def patch(variant, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def patch_rms(patch, unpiloted):
+def patch_rms(patch, hidden):
     """lights -> root mean square over seeds of the true error at the highest frequency."""
 
     @functools.cache
     def rms(lights):
         exact = patch_phasors(SMALL)
-        return rms_of([relative(unpiloted(patch, lights, seed), exact)[-1] for seed in SEEDS])
+        return rms_of([relative(hidden(patch, lights, seed), exact)[-1] for seed in SEEDS])
 
     return rms
 
@@ -50,11 +44,11 @@ def rms_of(values):
     return np.sqrt(np.mean(np.square(values), axis=0))
 
 
-def check_estimate(reported, true):
-    """Estimates agree with the true error within a factor of two."""
-    # Eight runs know an rms to 1/sqrt(16) = 25 %, four pilots of three degrees of freedom to 20 %:
-    # 30 % together.
-    assert 0.5 / 1.3 < rms_of(reported) / true < 2 * 1.3
+def check_bound(reported, true):
+    """The reported bounds are above the true error, by what 95 % need."""
+    # Fisher's distribution with 1 to 7 and 7 to 49 degrees of freedom has its 95 % at 1.5² to 2.4². All
+    # pixels err together, so sixteen seeds know an rms to 18 %, and four bounds are known to 25 %.
+    assert 1.5 / 1.35 < rms_of(reported) / true < 2.4 * 1.35
 
 
 def check_wanted(scene, exact, rms_of_256, variant):
@@ -64,17 +58,18 @@ def check_wanted(scene, exact, rms_of_256, variant):
     exposure = ManyLight(ManyLightOptions(error=wanted), variant).expose(scene, view)
     image = exposure.phasors()
     assert image.error <= wanted
-    # One run lies within two of its sigmas, and the estimate within a factor of two.
-    assert relative(image.hidden, exact)[-1] < 2 * 2 * wanted
-    # What 1/sqrt(N) needs from 256 lights on, times the factor of two in the estimate (squared) and the
-    # search's step of four. A light for each side of a surface.
+    assert np.all(relative(image.hidden, exact) < wanted)
+    # What 1/sqrt(N) needs from 256 lights on, times the square of the bound's factor of 2.4 over the margin
+    # of 0.85, and a step of two. A light for each side of a surface.
     needed = 256 * max((rms_of_256 / wanted) ** 2, 1)
-    assert len(exposure.lights) <= 2 * 4 * 4 * needed
+    assert len(exposure.field.lights) <= 2 * 2 * (2.4 / 0.85) ** 2 * needed
 
 
-def test_the_reported_error_of_a_patch_is_its_true_error_within_a_factor_of_two(patch, patch_rms, variant):
+def test_the_reported_error_of_a_patch_is_above_its_true_error_by_a_factor_of_about_two(
+    patch, patch_rms, variant
+):
     reported = [measure(patch, variant, lights=256, seed=seed, layout=SMALL).error for seed in range(4)]
-    check_estimate(reported, patch_rms(256))
+    check_bound(reported, patch_rms(256))
 
 
 def test_a_wanted_error_of_a_patch_is_met_without_more_lights_than_it_needs(patch, patch_rms, variant):
@@ -84,41 +79,41 @@ def test_a_wanted_error_of_a_patch_is_met_without_more_lights_than_it_needs(patc
 def test_any_number_of_lights_can_be_asked_for(patch, variant):
     # Not only powers of two; every warning is an error here.
     image = measure(patch, variant, lights=300, layout=SMALL)
-    assert relative(image.hidden, patch_phasors(SMALL))[-1] < 3 * image.error
+    assert np.all(relative(image.hidden, patch_phasors(SMALL)) < 1.5 * image.error)
 
 
 # Objects with shadow edges, against many more lights
 
 
 @pytest.fixture(scope="module")
-def reference(four_shapes, unpiloted):
+def reference(four_shapes, hidden):
     """Hidden phasors of 4 x 8192 lights: by the rates below a ninth of the error of 1024 lights or less."""
 
     @functools.cache
     def average(name):
-        return np.mean([unpiloted(four_shapes[name], 8192, seed) for seed in range(100, 104)], axis=0)
+        return np.mean([hidden(four_shapes[name], 8192, seed) for seed in range(100, 104)], axis=0)
 
     return average
 
 
 @pytest.fixture(scope="module")
-def true_rms(four_shapes, reference, unpiloted):
+def true_rms(four_shapes, reference, hidden):
     """(scene, lights) -> (F,) root mean square over seeds of the true error."""
 
     @functools.cache
     def rms(name, lights):
-        errors = [relative(unpiloted(four_shapes[name], lights, seed), reference(name)) for seed in SEEDS]
+        errors = [relative(hidden(four_shapes[name], lights, seed), reference(name)) for seed in SEEDS]
         return rms_of(errors)
 
     return rms
 
 
-def test_sixteen_times_the_lights_have_less_than_a_quarter_of_the_error(four_shapes, unpiloted):
+def test_sixteen_times_the_lights_have_less_than_a_quarter_of_the_error(four_shapes, hidden):
     cube = four_shapes["cube"]
     # By N^-3/4 the mean of 4 x 2048 lights has 0.3 of the error of 1024, which adds 4 % to that.
-    exact = np.mean([unpiloted(cube, 2048, seed) for seed in range(100, 104)], axis=0)
+    exact = np.mean([hidden(cube, 2048, seed) for seed in range(100, 104)], axis=0)
     few, many = (
-        rms_of([relative(unpiloted(cube, lights, seed), exact) for seed in SEEDS]) for lights in (64, 1024)
+        rms_of([relative(hidden(cube, lights, seed), exact) for seed in SEEDS]) for lights in (64, 1024)
     )
     # 1/sqrt(N) is a factor of 4, N^-3/4 of 8; the two rms values of eight runs scatter by 35 % together.
     assert np.all(few / many > 4 * 1.35)
@@ -130,29 +125,34 @@ def test_the_error_falls_faster_than_one_over_the_root_of_the_lights(true_rms, n
     counts = [64, 128, 256, 512, 1024]
     rms = np.array([true_rms(name, count) for count in counts])  # (N, F)
     rates = -np.polyfit(np.log(counts), np.log(rms), 1)[0]
-    # Sobol points on a surface with shadow edges: N^-3/4, up to N^-1 where the integrand is smooth. Eight
-    # runs know an rms to 1/sqrt(16), and five doublings the exponent to 0.25 / (ln 2 sqrt(10)) = 0.11:
+    # Sobol points on a surface with shadow edges: N^-3/4, up to N^-1 where the integrand is smooth. Sixteen
+    # runs know an rms to 1/sqrt(32), and five doublings the exponent to 0.25 / (ln 2 sqrt(10)) = 0.11:
     # one over the root would be below 0.7 in 97 % of such fits.
     assert np.all(rates > 0.7)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["concave_plane", "composite"])
-def test_the_error_of_64_lights_is_more_than_six_times_that_of_2048(true_rms, name):
+def test_the_error_of_a_concave_plane_falls_by_six_with_32_times_the_lights(true_rms):
     # 1/sqrt(N) is a factor of 5.7, N^-3/4 of 13; the two rms values of eight runs scatter by 35 %.
-    assert np.all(true_rms(name, 64) / true_rms(name, 2048) > 6)
+    assert np.all(true_rms("concave_plane", 64) / true_rms("concave_plane", 2048) > 6)
+
+
+@pytest.mark.long
+def test_the_error_of_a_composite_falls_at_least_like_that_of_random_points(true_rms):
+    # Its visible surface ends in edges that cross the triangles. 1/sqrt(N) is a factor of 5.7.
+    assert np.all(true_rms("composite", 64) / true_rms("composite", 2048) > 5.7 / 1.35)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("lights", [256, 1024])
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_reported_error_is_the_true_error_within_a_factor_of_two(
+def test_the_reported_error_is_above_the_true_error_by_a_factor_of_about_two(
     four_shapes, true_rms, variant, name, lights
 ):
     reported = [
         measure(four_shapes[name], variant, lights=lights, seed=seed, layout=SMALL).error for seed in range(4)
     ]
-    check_estimate(reported, true_rms(name, lights)[-1])
+    check_bound(reported, true_rms(name, lights)[-1])
 
 
 @pytest.mark.long

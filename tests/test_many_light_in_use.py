@@ -27,31 +27,33 @@ from many_light_scenes import (
 )
 
 from itof import TransientLayout
-from render.transport.hidden_surface import HiddenSurfaceError
+from render.transport.lights.hidden_surface import HiddenSurfaceError
 from render.transport.scene_checks import SceneError
 
 # Blocks, kernels, memory
 
 
 def test_images_do_not_depend_on_the_size_of_blocks(variant, tmp_path, monkeypatch):
-    import render.transport.gather_pass as gather_pass
+    from render.transport.film import pixels
+    from render.transport.passes import gather_pass
 
     scene = Corner((box(),), wall_bsdf=rough_plastic(0.5)).load(tmp_path)
-    blocks, whole_rows = gather_pass.Grid.blocks, []
+    blocks, whole_rows = pixels.Grid.blocks, []
 
     def recorded(grid, rule, **options):
         for rows in blocks(grid, rule, **options):
             whole_rows.append(rows)
             yield rows
 
-    monkeypatch.setattr(gather_pass.Grid, "blocks", recorded)
+    monkeypatch.setattr(pixels.Grid, "blocks", recorded)
     whole = measure(scene, variant, lights=256)
     assert len(whole_rows) < 20
     whole_rows.clear()
-    limited = functools.partial(recorded, limit=5 * LAYOUT.width * 4)  # five rows of 2 x 2 nodes
-    monkeypatch.setattr(gather_pass.Grid, "blocks", lambda grid, rule: limited(grid, rule))
+    limited = functools.partial(recorded, limit=LAYOUT.width * 16)  # a row of 4 x 4 nodes
+    monkeypatch.setattr(pixels.Grid, "blocks", lambda grid, rule: limited(grid, rule))
+    monkeypatch.setattr(gather_pass, "LANES", 5000)
     parts = measure(scene, variant, lights=256)
-    assert len(whole_rows) > 20
+    assert len(whole_rows) == LAYOUT.height
     for name in ("direct", "hidden"):
         # The same rays and the same sums, lane by lane.
         np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-6)
@@ -196,7 +198,8 @@ def test_degenerate_and_non_manifold_faces_change_nothing_but_the_sampling(varia
         for mesh in (clean, dirty)
     ]
     assert np.isfinite(images[1].hidden).all()
-    allowed = 3 * np.hypot(images[0].error, images[1].error)
+    # each is within its bound in 95 of 100 cases; 1.5 of it is in one of a thousand
+    allowed = 1.5 * np.hypot(images[0].error, images[1].error)
     assert np.all(relative(images[1].hidden, images[0].hidden) < allowed)
 
 
@@ -218,11 +221,11 @@ def test_a_mesh_of_82k_triangles_gives_the_signal_of_the_same_surface_in_few(var
     assert len(fine.faces) == 81920
     images = [
         measure(
-            Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=2048, layout=SMALL
+            Corner((mesh,), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant, lights=8192, layout=SMALL
         )
         for mesh in (coarse, fine)
     ]
-    allowed = 3 * np.hypot(images[0].error, images[1].error)
+    allowed = 1.5 * np.hypot(images[0].error, images[1].error)  # bounds that hold in 95 of 100 cases
     assert allowed < 0.03
     assert np.all(relative(images[1].hidden, images[0].hidden) < allowed)
 

@@ -1,9 +1,13 @@
 """Constants of the network's input channels, fitted on the training scenes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from model.data.channel_scaling import fit_input_spec
+from model.data.shards import Shards
+from model.network.channels import ChannelError
 
 
 @pytest.mark.parametrize(("channels", "count"), [("paper", 7), ("residual", 5), ("paper+residual", 12)])
@@ -30,3 +34,15 @@ def test_channels_of_some_of_the_frequencies_are_scaled_by_them_alone(shards):
     np.testing.assert_allclose(network_input[:, -3:].std(axis=(0, 2, 3)), 1, rtol=1e-3)
     with pytest.raises(ValueError, match="10 MHz is not among 20, 50, 60 MHz"):
         fit_input_spec("paper", shards, rows, [10e6])
+
+
+def test_numbers_that_overflow_name_the_folder_of_the_shards(shards, monkeypatch):
+    read = Shards.read
+
+    def glaring(self, rows):
+        block = read(self, rows)
+        return replace(block, phasors=np.where(block.phasors > 0, np.float32(3e38), block.phasors))
+
+    monkeypatch.setattr(Shards, "read", glaring)
+    with pytest.raises(ChannelError, match="shards have numbers that are too large"):
+        fit_input_spec("residual", shards, shards.rows("train"))

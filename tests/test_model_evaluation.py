@@ -1,19 +1,21 @@
 """Evaluation of a run: what the report holds, what it replaces, and what is refused."""
 
+import json
 import shutil
 
 import numpy as np
 import pytest
 import trimesh
 from night_commands import night_here, refusal
-from safetensors.torch import load_file, save_file
 from synthetic_dataset import write_synthetic_dataset
-from training_runs import before_each_network
+from training_runs import before_each_network, blind
 
 from itof import pixel_rays
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
 from model.report.evaluation import EvaluationError, evaluate
+from model.run_folder.run_config import RunError
+from scenegen.files.partials import HOST
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -24,6 +26,13 @@ def judge(run, dataset, out, **options):
 
 def contents(folder):
     return {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def forget_list_of_files(report):
+    """Make a report like one of version 0.1."""
+    metrics = json.loads((report / "metrics.json").read_text())
+    del metrics["files"]
+    (report / "metrics.json").write_text(json.dumps(metrics))
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +71,7 @@ def earlier_report(judged, tmp_path):
 def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(
     finished_copy, closed_form_scenes, earlier_report
 ):
-    weights = load_file(finished_copy / "best.safetensors")
-    last = max(name for name in weights if name.startswith("head."))
-    weights |= {name: 0 * weight for name, weight in weights.items() if name[:6] == last[:6]}
-    save_file(weights, finished_copy / "best.safetensors")
+    blind(finished_copy)
     report = judge(finished_copy, closed_form_scenes, earlier_report)
     assert report.prediction == report.no_object
     # Nothing of the earlier report of another split is left.
@@ -73,21 +79,89 @@ def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(
     assert clouds == {f"{scene}_gt.ply" for scene in closed_form_scenes.ids("test")}
 
 
-@pytest.mark.parametrize("kind", ["run", "dataset", "foreign", "report with notes"])
-def test_a_report_replaces_nothing_but_an_earlier_report(
-    finished_run, closed_form_scenes, earlier_report, tmp_path, kind
+INSIDE = ("notes.txt", "figures/thesis.txt", "figures/thesis.png", "pointclouds/000000_mine.ply")
+
+
+@pytest.mark.parametrize("without_list", [True, False])
+@pytest.mark.parametrize("mine", INSIDE)
+def test_a_report_replaces_no_file_that_the_user_put_into_an_earlier_one(
+    closed_form_scenes, earlier_report, tmp_path, mine, without_list
 ):
+    if without_list:
+        forget_list_of_files(earlier_report)
+    (earlier_report / mine).write_text("years of work")
+    before = contents(earlier_report)
+    # The missing run is not noticed: the folder is checked first.
+    with pytest.raises(EvaluationError, match=f"an earlier report: {mine}; move"):
+        judge(tmp_path / "no run", closed_form_scenes, earlier_report)
+    assert contents(earlier_report) == before
+
+
+def test_a_report_replaces_no_folder_and_no_changed_file_in_an_earlier_one(
+    closed_form_scenes, earlier_report, tmp_path
+):
+    (earlier_report / "figures" / "deep").mkdir()
+    (earlier_report / "index.html").write_text("my summary")
+    for number in range(3):
+        (earlier_report / "pointclouds" / f"mine{number}").touch()
+    found = r"index\.html \(changed\), figures/deep/, pointclouds/mine0 and more; move"
+    with pytest.raises(EvaluationError, match=found):
+        judge(tmp_path / "no run", closed_form_scenes, earlier_report)
+    assert (earlier_report / "figures" / "deep").is_dir()
+
+
+def test_a_report_follows_no_link_in_an_earlier_one(closed_form_scenes, earlier_report, tmp_path):
+    figures = (earlier_report / "figures").rename(tmp_path / "figures")
+    (earlier_report / "figures").symlink_to(figures)
+    with pytest.raises(EvaluationError, match="an earlier report: figures/; move"):
+        judge(tmp_path / "no run", closed_form_scenes, earlier_report)
+    assert any(figures.iterdir())
+
+
+@pytest.mark.long
+def test_a_file_that_the_user_adds_while_a_report_is_made_stays(
+    finished_run, closed_form_scenes, earlier_report
+):
+    mine = earlier_report / "figures" / "thesis.txt"
+    with (
+        before_each_network(lambda _: mine.write_text("years of work")),
+        pytest.raises(EvaluationError, match=r"figures/thesis\.txt"),
+    ):
+        judge(finished_run, closed_form_scenes, earlier_report, split="train")
+    assert mine.read_text() == "years of work"
+
+
+@pytest.mark.long
+def test_a_report_replaces_one_of_version_0_1(finished_run, closed_form_scenes, earlier_report):
+    before = contents(earlier_report)
+    forget_list_of_files(earlier_report)
+    judge(finished_run, closed_form_scenes, earlier_report, split="validation")
+    assert contents(earlier_report) == before
+
+
+@pytest.mark.parametrize("kind", ["run", "dataset", "foreign"])
+def test_a_report_replaces_no_other_folder(finished_run, closed_form_scenes, tmp_path, kind):
     foreign = tmp_path / "foreign"
     (foreign / "figures").mkdir(parents=True)
     (foreign / "figures" / "thesis.txt").write_text("years of work")
-    (earlier_report / "notes.txt").write_text("mine")
-    folders = {"run": finished_run, "dataset": closed_form_scenes.root, "foreign": foreign}
-    out = folders.get(kind, earlier_report)
+    out = {"run": finished_run, "dataset": closed_form_scenes.root, "foreign": foreign}[kind]
     before = contents(out)
-    # The missing run is not noticed: the folder is checked first.
     with pytest.raises(EvaluationError, match="holds other things than an earlier report"):
         judge(tmp_path / "no run", closed_form_scenes, out)
     assert contents(out) == before
+
+
+def test_a_refused_command_puts_back_a_report_that_a_kill_left_between_two_renames(
+    closed_form_scenes, earlier_report, tmp_path
+):
+    before = contents(earlier_report)
+    left = tmp_path / f".report.{HOST}-999999999.1.partial"
+    left.mkdir()
+    earlier_report.rename(left / "report.old")
+    with pytest.raises(RunError, match="no run"):
+        judge(tmp_path / "no run", closed_form_scenes, earlier_report)
+    assert contents(earlier_report) == before
+    assert not left.exists()
 
 
 def test_a_report_does_not_replace_a_file(finished_run, closed_form_scenes, tmp_path):
@@ -131,10 +205,10 @@ def test_night_eval_judges_where_no_other_command_is_named(finished_run, closed_
     data, cpu = closed_form_scenes.root, ("--device", "cpu")
     empty = tmp_path / "empty"
     empty.mkdir()
-    done = night_here("night-eval", "--out", ".", *cpu, finished_run, data, cwd=empty)
+    done = night_here("night-eval", "--out", ".", *cpu, finished_run, data, "--json", cwd=empty)
     assert done.returncode == 0, done.stderr
-    assert "no object" in done.stdout
-    assert (empty / "metrics.json").is_file()
+    assert "no object" in done.stderr
+    assert json.loads(done.stdout) == json.loads((empty / "metrics.json").read_text())
     # All orders of words reach the same command with the same values: it refuses this threshold.
     bad, out = ("--mask-threshold", "nan"), ("--out", tmp_path / "report")
     messages = {

@@ -7,10 +7,12 @@ import zipfile
 import h5py
 import numpy as np
 import pytest
-from measurements import write_h5, write_npz
+from measurements import read_here, write_h5, write_npz
 from night_commands import refusal
 
 from itof import write_image
+from model.prediction.array_claims import RefusedError
+from model.prediction.measurement_files import MeasurementError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -64,14 +66,6 @@ NPZ_REFUSALS = {
     ),
     "must have 3 values on its last axis": lambda p, z: write_npz(p, phasors=z[..., :2]),
     "image 1 of phasors holds 1 values that are NaN": lambda p, z: write_npz(p, phasors=with_nan(z)),
-    "holds images of 23x14 pixels": lambda p, z: write_npz(p, phasors=z[:, :, 1:]),
-    "holds images of 14x24 pixels": lambda p, z: write_npz(p, phasors=np.swapaxes(z, 1, 2)),
-    "holds 20, 60 MHz, the network also needs 50 MHz": lambda p, z: write_npz(
-        p, phasors=z[..., [0, 2]], frequencies_hz=np.array([20e6, 60e6])
-    ),
-    "frequencies_hz is in Hz, not MHz": lambda p, z: write_npz(
-        p, phasors=z, frequencies_hz=np.array([20, 50, 60])
-    ),
     "frequencies_hz must be a list of numbers": lambda p, z: write_npz(
         p, phasors=z, frequencies_hz=np.array(["20 MHz"])
     ),
@@ -81,7 +75,20 @@ NPZ_REFUSALS = {
     "reference of shape (13, 24, 3) does not fit": lambda p, z: write_npz(p, phasors=z, reference=z[0, 1:]),
     "reference holds 1008 values that are NaN": lambda p, z: write_npz(p, phasors=z, reference=z[0] * np.nan),
     "reference is 0 in 336 pixels that have light": lambda p, z: write_npz(p, phasors=z, reference=0 * z[0]),
-    "holds no light at the first frequency": lambda p, z: write_npz(p, phasors=0 * z),
+}
+
+
+RUN_REFUSALS = {  # for which the run must be known
+    "holds images of 23x14 pixels": lambda p, z: write_npz(p, phasors=z[:, :, 1:]),
+    "holds images of 14x24 pixels": lambda p, z: write_npz(p, phasors=np.swapaxes(z, 1, 2)),
+    "holds 20, 60 MHz, the network also needs 50 MHz": lambda p, z: write_npz(
+        p, phasors=z[..., [0, 2]], frequencies_hz=np.array([20e6, 60e6])
+    ),
+    "frequencies_hz is in Hz, not MHz": lambda p, z: write_npz(
+        p, phasors=z, frequencies_hz=np.array([20, 50, 60])
+    ),
+    "no wall found: no pixel holds light": lambda p, z: write_npz(p, phasors=0 * z),
+    "which could run any program": pickled_array,
 }
 
 
@@ -90,8 +97,18 @@ def refused(run, file, out):
 
 
 @pytest.mark.parametrize("words", NPZ_REFUSALS)
-def test_an_unusable_npz_is_refused_in_one_sentence(finished_run, phasors, tmp_path, words):
+def test_an_unusable_npz_is_refused_in_one_sentence(phasors, tmp_path, words):
     NPZ_REFUSALS[words](tmp_path / "m.npz", phasors)
+    with pytest.raises((RefusedError, MeasurementError)) as error:
+        read_here(tmp_path / "m.npz")
+    assert words in str(error.value)
+    assert "m.npz" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("words", RUN_REFUSALS)
+def test_an_npz_that_does_not_fit_the_run_is_refused_in_one_sentence(finished_run, phasors, tmp_path, words):
+    RUN_REFUSALS[words](tmp_path / "m.npz", phasors)
     message = refused(finished_run, tmp_path / "m.npz", tmp_path / "out")
     assert words in message
     assert "m.npz" in message
@@ -113,15 +130,20 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(finished_run
         ("nowhere.npz", "does not exist"),
         ("nowhere.exr", "does not exist"),
         ("group.h5", "is a folder"),
-        ("no.h5", "no HDF5 file"),
         ("half.h5", "damaged or no HDF5 file"),
-        ("other.h5", "no array phasors; it holds phasors"),
         ("half.exr", "damaged or no EXR"),
         ("truth.exr", "holds 20 MHz, the network also needs 50, 60 MHz"),
-        ("photo.exr", "holds no phasors"),
         ("m.png", "has the ending .png: measurements are read from .exr, .npz, .h5, .hdf5 files"),
     ):
         message = refused(finished_run, tmp_path / name, tmp_path / "out")
         assert words in message, message
         assert name in message
+        assert "delete" not in message  # it is the user's own file
         assert not (tmp_path / "out").exists()
+    for name, words in (
+        ("no.h5", "no HDF5 file"),
+        ("other.h5", "no array phasors; it holds phasors"),
+        ("photo.exr", "holds no phasors"),
+    ):
+        with pytest.raises((RefusedError, MeasurementError), match=f"{name}.*{words}"):
+            read_here(tmp_path / name)

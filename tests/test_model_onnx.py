@@ -1,6 +1,6 @@
 """The ONNX file computes what PyTorch computes, or is not written."""
 
-import re
+import json
 import sys
 
 import numpy as np
@@ -8,12 +8,13 @@ import pytest
 import torch
 from night_commands import night_here, refusal
 from pydantic import TypeAdapter
+from training_runs import edit_weights
 
 from model.data.shards import open_shards
 from model.prediction import onnx_export
 from model.prediction.onnx_export import INPUT, METADATA, OUTPUT
 from model.prediction.predictor import load
-from model.run_folder import RunConfig
+from model.run_folder.run_config import RunConfig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -21,10 +22,14 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def test_the_onnx_file_computes_what_torch_computes(seeing_run, closed_form_scenes, tmp_path):
     import onnxruntime
 
-    done = night_here("night-eval", "export", seeing_run, "--out", tmp_path / "model.onnx")
+    done = night_here("night-eval", "export", seeing_run, "--out", tmp_path / "model.onnx", "--json")
     assert done.returncode == 0, done.stderr
-    numbers = re.findall(r"\d[\d.]*(?:e[+-]\d+)?", done.stdout.replace(str(tmp_path), ""))
-    _, tolerance, largest_output = sorted(map(float, numbers))  # the first is the largest difference
+    said = json.loads(done.stdout)
+    assert set(said) == {"file", "largest_difference", "tolerance", "largest_output"}
+    tolerance, largest_output = said["tolerance"], said["largest_output"]
+    assert f"{tmp_path / 'model.onnx'}: differs from PyTorch by at most {said['largest_difference']:.2g}" in (
+        done.stderr
+    )
     assert [file.name for file in tmp_path.iterdir()] == ["model.onnx"]
     session = onnxruntime.InferenceSession(str(tmp_path / "model.onnx"), providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
@@ -58,6 +63,14 @@ def test_an_export_that_computes_something_else_is_refused(seeing_run, tmp_path,
     message = refusal("night-eval", "export", seeing_run, "--out", tmp_path / "model.onnx")
     assert "computes something else than PyTorch" in message
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.long
+def test_a_network_that_answers_with_infinite_values_is_not_exported(finished_copy, tmp_path):
+    edit_weights(finished_copy, lambda _, weight: weight * 0 + 1e30)
+    message = refusal("night-eval", "export", finished_copy, "--out", tmp_path / "model.onnx")
+    assert "answers with NaN or infinite values" in message
+    assert not (tmp_path / "model.onnx").exists()
 
 
 def test_an_export_says_what_is_missing_and_where_it_may_go(finished_run, tmp_path, monkeypatch):

@@ -8,8 +8,7 @@ import pytest
 import trimesh
 from measurements import FREQUENCIES_HZ, assert_same, write_h5, write_npz, written
 from night_commands import night_here
-from safetensors.torch import load_file, save_file
-from training_runs import before_each_network, settings
+from training_runs import before_each_network, blind, settings
 
 from itof import phase_per_metre, phasor_channels, pixel_rays, read_image, write_image
 from model.prediction.prediction_files import PredictionError, predict_file
@@ -28,7 +27,7 @@ def contents(folder):
 
 
 def test_a_rendered_measurement_predicts_what_the_evaluation_predicts(seeing_run, exr, shards, tmp_path):
-    (image,) = predict(seeing_run, exr, tmp_path / "out")
+    (image,) = predict(seeing_run, exr, tmp_path / "out").images
     expected = load(seeing_run, "cpu").predict(shards.complex_phasors([0]), shards.reference)[0]
     found = written(tmp_path / "out")
     np.testing.assert_array_equal(found.radial_depth_m, expected.radial_depth_m)
@@ -54,11 +53,8 @@ def test_points_lie_on_the_rays_of_their_pixels_at_the_predicted_depth(
 
 
 def test_where_no_pixel_shows_an_object_there_is_no_point_cloud(finished_copy, exr, tmp_path):
-    weights = load_file(finished_copy / "best.safetensors")
-    last = max(name for name in weights if name.startswith("head."))
-    weights |= {name: 0 * weight for name, weight in weights.items() if name[:6] == last[:6]}
-    save_file(weights, finished_copy / "best.safetensors")
-    (image,) = predict(finished_copy, exr, tmp_path / "out")
+    blind(finished_copy)
+    (image,) = predict(finished_copy, exr, tmp_path / "out").images
     assert image.sentence == "image 000000: no pixel shows an object, so it has no point cloud"
     assert image.files == ("000000.exr", "000000.png")
     assert not list((tmp_path / "out").glob("*.ply"))
@@ -118,7 +114,7 @@ def test_a_capture_of_the_empty_corner_replaces_the_computed_reference(seeing_ru
     # A wall that stands 10 cm nearer turns the phase: another reference is another prediction.
     turned = empty * np.exp(-1j * 2 * 0.1 * phase_per_metre(FREQUENCIES_HZ))
     moved = write_npz(tmp_path / "moved.npz", **arrays, reference=turned[..., order])
-    predict(seeing_run, moved, tmp_path / "moved")
+    predict(seeing_run, moved, tmp_path / "moved", force=True)
     assert np.abs(written(tmp_path / "moved").phasor - own).max() > 0.1
 
 
@@ -140,6 +136,15 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
     predict(seeing_run, write_npz(tmp_path / "two.npz", phasors=phasors[:2]), tmp_path / "out")
     predict(seeing_run, exr, tmp_path / "out")
     assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000000", "prediction"}
+    figure = (tmp_path / "out" / "000000.png").read_bytes()
+    (tmp_path / "out" / "000000.png").write_bytes(figure + b"mine")
+    with pytest.raises(PredictionError, match=r"an earlier prediction: 000000\.png \(changed\); move"):
+        predict(tmp_path / "no run", exr, tmp_path / "out")
+    (tmp_path / "out" / "000000.png").write_bytes(figure)
+    (tmp_path / "out" / "deep").mkdir()
+    with pytest.raises(PredictionError, match="an earlier prediction: deep/; move"):
+        predict(tmp_path / "no run", exr, tmp_path / "out")
+    (tmp_path / "out" / "deep").rmdir()
     # A measurement in the folder of the prediction is kept, whatever its name.
     shutil.copy(exr, tmp_path / "out" / "000001.exr")
     (tmp_path / "file").write_text("mine")
@@ -150,6 +155,21 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
         assert contents(out) == before
     with pytest.raises(PredictionError, match="is a file"):
         predict(seeing_run, exr, tmp_path / "file")
+
+
+def test_a_prediction_of_version_0_1_is_replaced_by_its_names(seeing_run, exr, tmp_path):
+    out = tmp_path / "out"
+    predict(seeing_run, exr, out)
+    after = contents(out)
+    record = json.loads((out / "prediction.json").read_text())
+    del record["files"]
+    (out / "prediction.json").write_text(json.dumps(record))
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(PredictionError, match=r"an earlier prediction: notes\.txt; move"):
+        predict(seeing_run, exr, out)
+    (out / "notes.txt").unlink()
+    predict(seeing_run, exr, out)
+    assert contents(out) == after
 
 
 def test_an_interrupted_prediction_leaves_the_earlier_one_as_it_was(
@@ -182,7 +202,10 @@ def test_the_command_predicts_and_says_what_it_saw(seeing_run, exr, phasors, tmp
     assert_same(tmp_path / "out", tmp_path / "python")
     npz = write_npz(tmp_path / "m.npz", phasors=phasors[:2])
     for word, rescaled in (("--no-rescale", False), ("--rescale", True)):
-        assert night_here("night-eval", "predict", seeing_run, npz, *out, word).returncode == 0
+        done = night_here("night-eval", "predict", seeing_run, npz, *out, word, "--json")
+        assert done.returncode == 0, done.stderr
         record = json.loads((tmp_path / "out" / "prediction.json").read_text())
+        assert json.loads(done.stdout) == record
+        assert "image 000001: " in done.stderr
         assert record["rescaled"] is rescaled
         assert [image["name"] for image in record["images"]] == ["000000", "000001"]

@@ -1,47 +1,27 @@
 """Training in several processes, and processes that get a signal to stop."""
 
-import json
-import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 import torch
-from night_commands import words
 from synthetic_dataset import write_synthetic_dataset
-from training_runs import FLIP, QUICK, assert_same_end, checkpoint, settings
+from training_processes import COURSE, TORCHRUN, errors_of, start, wait_for_the_first_epoch
+from training_runs import assert_same_end, checkpoint, settings
 
 from model.training.loop import train
 from model.training.processes import Processes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
-TORCHRUN = (sys.executable, *("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"))
-COURSE = FLIP | {"width": 4, "batch_size": 4}
 ENDLESS = 400  # epochs, of which a test waits for the first
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     return write_synthetic_dataset(tmp_path_factory.mktemp("dataset"), count=16)
-
-
-def start(dataset, out, *options, launcher=(), environment=(), **changes) -> subprocess.Popen:
-    """A process of ``night-train`` by `settings` with the same changes."""
-    preset = out.with_suffix(".toml")
-    values = QUICK | COURSE | changes
-    preset.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items()))
-    command = words("night-train", dataset.root, "--out", out, "--preset", preset, *options)
-    with errors_of(out).open("a") as errors:
-        return subprocess.Popen(
-            [*launcher, *command],
-            env=os.environ | {"OMP_NUM_THREADS": "1"} | dict(environment),
-            stdout=subprocess.DEVNULL,
-            stderr=errors,
-        )
 
 
 @pytest.fixture
@@ -59,16 +39,6 @@ def start_two():
         return [start(dataset, out, *options, environment=place, **changes) for place in places]
 
     return start_both
-
-
-def errors_of(out):
-    """File with the stderr of all processes of a run."""
-    return out.with_suffix(".stderr")
-
-
-def wait_for_the_first_epoch(run, *processes) -> None:
-    while not (run / "history.csv").exists() and all(process.poll() is None for process in processes):
-        time.sleep(0.01)
 
 
 def epochs_before_the_stop(run) -> int:
@@ -106,6 +76,7 @@ def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batc
         assert b == pytest.approx(a, rel=1e-3)
 
 
+@pytest.mark.long
 def test_two_processes_stop_together_when_one_is_asked_to_and_go_on(dataset, start_two, tmp_path):
     run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 2}
     processes = start_two(dataset, run, **changes)
@@ -133,6 +104,7 @@ def test_two_processes_whose_launcher_is_stopped_go_on_to_the_same_weights(datas
     assert_same_end(run, tmp_path / "whole")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_a_process_ends_as_its_signal_says_and_the_run_goes_on_to_the_same_weights(dataset, tmp_path, number):
     run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 1, "ema_decay": 0.9}

@@ -4,19 +4,17 @@ import shutil
 
 import numpy as np
 import pytest
+from render_records import record_anew
 from synthetic_dataset import edit_image, write_synthetic_dataset, write_synthetic_render
 
 from itof import ImageFileError, read_image, write_image
-from model.data.renders import ShardError
+from model.data.renders import ShardError, read_render
 from model.data.shards import open_shards
 from scenegen import (
     DatasetError,
     FailureRecord,
-    FileRecord,
-    RenderRecord,
-    sha256_of,
+    RenderFileError,
     write_failure,
-    write_record,
 )
 
 WIDTH, HEIGHT = 11, 7
@@ -34,21 +32,21 @@ def with_nan(values):
 
 def test_a_render_that_is_not_the_recorded_one_is_refused_and_one_without_record_is_not(dataset):
     for scene in ("000001", "000002"):
-        folder = dataset.render_folder(scene)
-        files = {
-            file.name: FileRecord(bytes=file.stat().st_size, sha256=sha256_of(file))
-            for file in folder.iterdir()
-        }
-        write_record(folder, RenderRecord(recipe="{}", attributes={}, files=files))
+        record_anew(dataset.render_folder(scene))
     open_shards(dataset)
     for scene in ("000000", "000001"):
         path = dataset.render_folder(scene) / "mirrored.exr"
         edit_image(path, depth_R=lambda depth: depth * np.float32(1.5))
     refused = r"scene 000001: .*mirrored.exr is not the file that night-render wrote.*run night-render"
-    with pytest.raises(ShardError, match=refused):
+    with pytest.raises(RenderFileError, match=refused):
         open_shards(dataset)
-    path.write_bytes(b"no image")  # then the message is about the damage
-    with pytest.raises(ImageFileError, match="damaged or no EXR"):
+    path.write_bytes(b"no image")
+    with pytest.raises(RenderFileError, match=refused):
+        open_shards(dataset)
+    with pytest.raises(RenderFileError, match=refused):
+        read_render(dataset, "000001")  # also where no shards are built
+    record_anew(path.parent)  # then the message is about the damage
+    with pytest.raises(ImageFileError, match=r"damaged or no EXR.*: delete it and render it again"):
         open_shards(dataset)
 
 

@@ -7,9 +7,8 @@ import shutil
 
 import numpy as np
 import pytest
-import torch
+import training_runs
 from report_pages import AT_NIGHT, WITH_WEBGL, WITHOUT_WEBGL, Page, browse, needs_chromium
-from safetensors.torch import load_file, save_file
 from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 
 from model.data.shards import open_shards
@@ -18,7 +17,7 @@ from model.prediction.predictor import load
 from model.report.chart_png import chart_figure
 from model.report.charts import training_curves
 from model.report.evaluation import EvaluationError, evaluate
-from model.run_folder import RunError
+from model.run_folder.run_config import RunError
 from model.settings import TrainSettings
 from model.training.loop import train
 from scenegen import open_dataset
@@ -103,6 +102,7 @@ def test_the_sweep_at_the_threshold_in_use_is_the_report(judged, run, dataset, t
     assert "judged with mask threshold 0.33" in (tmp_path / "report" / "index.html").read_text()
 
 
+@pytest.mark.long
 def test_without_validation_scenes_only_the_judged_split_is_swept(run, dataset, tmp_path):
     none = {"count": 4, "test_fraction": 0.5, "validation_fraction": 0.0}
     plain = write_synthetic_dataset(tmp_path / "data", count=4, dataset=none)
@@ -115,6 +115,7 @@ def test_without_validation_scenes_only_the_judged_split_is_swept(run, dataset, 
     assert (both.judged.split, both.validation.split) == ("test", "validation")
 
 
+@pytest.mark.long
 def test_a_run_at_one_frequency_is_judged_on_a_dataset_of_three(dataset, tmp_path):
     learning = {"width": 2, "batch_size": 4, "max_epochs": 1, "frequencies_hz": (50e6,)}
     train(dataset, tmp_path / "run", TrainSettings(**learning, progress=False, device="cpu"))
@@ -261,6 +262,7 @@ def test_a_browser_draws_charts_and_point_clouds_without_an_error(hostile, tmp_p
     assert "<title>evil" not in document
 
 
+@pytest.mark.long
 @needs_chromium
 @pytest.mark.parametrize(("scheme", "blue"), [((), "11, 111, 184"), ((AT_NIGHT,), "88, 176, 242")])
 def test_a_browser_without_webgl_gets_a_sentence_and_charts_in_the_colours_of_the_page(
@@ -281,14 +283,12 @@ def blind(run, tmp_path_factory):
     """A network that sees nothing, without a history."""
     folder = tmp_path_factory.mktemp("runs") / "blind"
     shutil.copytree(run, folder)
-    weights = load_file(folder / "best.safetensors")
-    last = max(name for name in weights if name.startswith("head."))
-    weights |= {name: torch.zeros_like(w) for name, w in weights.items() if name[:6] == last[:6]}
-    save_file(weights, folder / "best.safetensors")
+    training_runs.blind(folder)
     (folder / "history.csv").unlink()
     return folder
 
 
+@pytest.mark.long
 @needs_chromium
 @pytest.mark.parametrize(("radius_m", "how"), [(DISC_RADIUS_M, "plotly"), (0.0, "empty")])
 def test_a_network_that_sees_nothing_still_gets_a_whole_page(blind, tmp_path, monkeypatch, radius_m, how):
@@ -311,6 +311,6 @@ def test_a_network_that_sees_nothing_still_gets_a_whole_page(blind, tmp_path, mo
 def test_a_damaged_history_is_named(run, dataset, tmp_path):
     shutil.copytree(run, tmp_path / "run")
     (tmp_path / "run" / "history.csv").write_text("epoch,train_loss\n1,much\n")
-    with pytest.raises(RunError, match=r"history.csv cannot be read"):
+    with pytest.raises(RunError, match=r"history.csv is damaged"):
         evaluate(tmp_path / "run", dataset, tmp_path / "report", device="cpu", progress=False)
     assert not (tmp_path / "report").exists()

@@ -10,7 +10,7 @@ from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, before_each_network, checkpoint, settings
 
 from model.data.rows import RowLayout
-from model.run_folder import RunError, run_settings
+from model.run_folder.run_config import RunError, run_settings
 from model.settings import settings_from_dict
 from model.training.loop import train
 

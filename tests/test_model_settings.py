@@ -1,5 +1,6 @@
 """Training settings: presets, and values that are refused by name."""
 
+import re
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -40,6 +41,14 @@ def test_a_preset_extends_one_beside_it(tmp_path):
 
 def test_presets_that_extend_each_other_in_a_circle_are_refused(tmp_path):
     for name, other in (("a", "b"), ("b", "a")):
-        (tmp_path / f"{name}.toml").write_text(f'extends = "{tmp_path / other}.toml"\n')
+        (tmp_path / f"{name}.toml").write_text(f'extends = "{other}.toml"\n')
     with pytest.raises(PresetError, match="circle"):
         training_preset(str(tmp_path / "a.toml"))
+
+
+@pytest.mark.parametrize("name", ["nothing_of_this_name", "../../elsewhere", "x" * 5000])
+def test_a_bad_name_to_extend_is_refused_with_the_file_that_has_it(tmp_path, name):
+    file = tmp_path / "mine.toml"
+    file.write_text(f'extends = "{name}"\n')
+    with pytest.raises(PresetError, match=re.escape(f"{file}, key extends: ")):
+        training_preset(file)

@@ -30,15 +30,19 @@ def pairs(dataset, monkeypatch):
     return dataset
 
 
-def inodes(dataset) -> dict[str, int]:
-    """Inode of each file of the shards; a file that is written again gets another one."""
-    files = sorted(dataset.shard_folder.glob("*/*"))
-    return {str(file.relative_to(dataset.shard_folder)): file.stat().st_ino for file in files}
+def inodes(dataset) -> dict[str, tuple[int, int]]:
+    """Inode and time of each file of the shards; a file that is written again gets others."""
+    found = {file: file.stat() for file in sorted(dataset.shard_folder.glob("*/*"))}
+    # The inode alone may be that of a file that was deleted before.
+    return {
+        str(file.relative_to(dataset.shard_folder)): (stat.st_ino, stat.st_mtime_ns)
+        for file, stat in found.items()
+    }
 
 
-def rewritten(before: dict[str, int], after: dict[str, int]) -> set[str]:
+def rewritten(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]]) -> set[str]:
     """Pieces that were written again; a piece is written whole or not at all."""
-    changed = {name for name, inode in after.items() if before.get(name) != inode}
+    changed = {name for name, file in after.items() if before.get(name) != file}
     pieces = {name.split("/")[0] for name in changed}
     assert changed == {name for name in after if name.split("/")[0] in pieces}
     return pieces
@@ -205,3 +209,18 @@ def test_shards_that_are_renewed_while_they_are_in_use_are_not_mixed(pairs):
     shutil.rmtree(pairs.shard_folder / "000000")
     with pytest.raises(ShardError, match="000000 changed while it was in use"):
         after.read([1])
+
+
+@pytest.mark.parametrize("place", ["000002/notes.txt", "2024/notes.txt", "000002/old/notes.txt"])
+def test_files_of_the_user_in_the_folder_of_a_piece_are_refused_before_anything_changes(pairs, place):
+    open_shards(pairs)
+    edit_image(pairs.render_folder("000000") / "mirrored.exr", depth_R=lambda depth: depth * np.float32(1.5))
+    mine = pairs.shard_folder / place
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("years of work")
+    files = inodes(pairs)
+    named = place.replace("old/notes.txt", "old")
+    with pytest.raises(ShardError, match=f"{named}.* is none of the shards' files"):
+        open_shards(pairs)
+    assert inodes(pairs) == files
+    assert mine.read_text() == "years of work"

@@ -2,19 +2,22 @@
 
 import csv
 import json
+import shutil
 
 import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from training_runs import before_each_network, checkpoint, settings
 
 from model.device import DeviceError, choose_device
 from model.prediction.predictor import load
-from model.run_folder import RunError
+from model.run_folder.history import read_history
+from model.run_folder.run_config import RunError
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from scenegen import FailureRecord, write_failure
-from scenegen.files.whole_files import HOST
+from scenegen.files.partials import HOST
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -37,7 +40,7 @@ def test_training_stops_when_patience_runs_out(closed_form_scenes, tmp_path):
 
 def test_a_run_folder_holds_what_it_promises(finished_run):
     config = json.loads((finished_run / "run.json").read_text())
-    assert config["schema_version"] == 2
+    assert config["schema_version"] == 3
     assert config["settings"]["batch_size"] == 3
     assert config["inputs"]["frequencies_hz"] == [20e6, 50e6, 60e6]
     with (finished_run / "history.csv").open() as stream:
@@ -46,6 +49,27 @@ def test_a_run_folder_holds_what_it_promises(finished_run):
     assert all(float(line["validation_mae_cm"]) > 0 for line in lines)
     assert list((finished_run / "log").glob("events.out.tfevents.*"))
     assert not list(finished_run.glob(".*.partial"))
+
+
+def logged(run, tag):
+    """(step, value) of a scalar in the log of a run, as TensorBoard shows it."""
+    accumulator = EventAccumulator(str(run / "log"), size_guidance={"scalars": 0})
+    accumulator.Reload()
+    return [(event.step, event.value) for event in accumulator.Scalars(tag)], accumulator.Tags()["images"]
+
+
+def test_the_log_shows_every_epoch_once_and_pictures_of_the_first(
+    closed_form_scenes, finished_copy, finished_run
+):
+    for _ in range(2):  # the second time, epoch 3 is in the log but not in the checkpoint
+        shutil.copy(finished_run / "checkpoint.pt", finished_copy)
+        train(closed_form_scenes, finished_copy, settings(max_epochs=3), resume=True)
+    assert len(list((finished_copy / "log").iterdir())) == 3
+    found, pictures = logged(finished_copy, "validation_loss")
+    expected = read_history(finished_copy)["validation_loss"]
+    assert [step for step, _ in found] == [1, 2, 3]
+    assert [value for _, value in found] == pytest.approx(expected, rel=1e-6)  # float32
+    assert set(pictures) == {"radial_depth", "re", "im"}
 
 
 def test_a_network_sees_the_frequencies_it_was_asked_to_see_and_no_others(closed_form_scenes, tmp_path):

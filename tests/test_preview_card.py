@@ -9,7 +9,7 @@ from previews import grey_view
 
 from render.products.card import CardError, checked_licence, dataset_card, read_card
 from render.products.distributions import ratio_sentence, read_distributions
-from render.products.preview import write_preview
+from render.products.preview import check_preview, write_preview
 from scenegen import RenderingRecord, open_dataset, write_rendering_record
 
 
@@ -93,3 +93,18 @@ def test_a_readme_of_somebody_else_is_kept(corners):
     written = write_preview(corners, ["000000"], grey_view, "CC BY 4.0")
     assert (corners.root / "README.md").read_text() == ""
     assert [file.name for file in written] == ["contact_sheet.png", "distributions.png"]
+
+
+def test_pictures_of_the_user_in_the_preview_are_kept(corners):
+    write_preview(corners, ["000000"], grey_view)
+    sheet, notes = corners.root / "preview" / "contact_sheet.png", corners.root / "preview" / "notes.txt"
+    notes.write_text("mine")
+    check_preview(corners, ["000000"], None)  # its own pictures may be replaced
+    sheet.write_bytes(b"\x89PNG, mine")
+    for refused in (check_preview, lambda *given: write_preview(*given[:2], grey_view, given[2])):
+        with pytest.raises(
+            CardError, match=r"contact_sheet\.png is not a picture that night-gen preview wrote"
+        ):
+            refused(corners, ["000000"], None)
+    assert sheet.read_bytes() == b"\x89PNG, mine"
+    assert notes.read_text() == "mine"

@@ -6,6 +6,7 @@ import trimesh
 from matplotlib import image as png
 from night_commands import night_here, refusal
 from previews import orange
+from render_records import record_anew
 from scene_folders import contents
 
 from itof import write_image
@@ -60,16 +61,23 @@ def test_what_cannot_be_previewed_is_refused(corners, tmp_path):
     file = corners.render_folder("000001") / "mirrored.exr"
     whole = file.read_bytes()
     file.write_bytes(whole[:-300])
+    assert "mirrored.exr is not the file that night-render wrote" in refusal(
+        "night-gen", "preview", corners.root
+    )
+    record_anew(file.parent)
     assert "damaged or no EXR" in refusal("night-gen", "preview", corners.root)
     write_image(file, {"R": np.ones((18, 24))}, {})
+    record_anew(file.parent)
     assert "000001/mirrored.exr" in refusal("night-gen", "preview", corners.root)
     file.write_bytes(whole)
     write_image(corners.render_folder("000001") / "itof.exr", {"itof.20MHz.Re": np.ones((18, 24))}, {})
+    record_anew(file.parent)
     assert "scene 000001: itof.exr" in refusal("night-gen", "preview", corners.root)
     nan = np.full((18, 24), np.nan)
     write_image(
         corners.render_folder("000001") / "itof.exr", {"itof.20MHz.Re": nan, "itof.20MHz.Im": nan}, {}
     )
+    record_anew(file.parent)
     assert "NaN" in refusal("night-gen", "preview", corners.root)
     assert not (corners.root / "preview").exists()
     assert not (corners.root / "README.md").exists()

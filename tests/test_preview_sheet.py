@@ -6,6 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from previews import RENDERED, grey_view
+from render_records import record_anew
 
 from itof import amplitude, direct_phasors, phase, read_image, write_image
 from render.products.contact_sheet import choose_scenes, contact_sheet
@@ -57,6 +58,7 @@ def test_without_parts_the_sheet_shows_what_no_direct_light_explains(corners):
     phasor = 0.7 * direct + 0.01 * np.exp(1j * (phase(direct) + lag))
     channels = {"itof.20MHz.Re": phasor.real, "itof.20MHz.Im": phasor.imag}
     write_image(corners.render_folder("000000") / "itof.exr", channels, {})
+    record_anew(corners.render_folder("000000"))
     tile = read_tile(corners, "000000", grey_view(None, 4, 3))
     assert tile.hidden_is_residual
     np.testing.assert_allclose(tile.hidden, 0.01 * np.sin(lag), atol=1e-6 * np.abs(phasor).max())

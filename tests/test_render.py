@@ -24,7 +24,8 @@ from render.rendering import Renderer
 from render.settings import RenderError, RenderSettings
 from render.transport.method import View
 from render.transport.path_tracer import PathTracer
-from scenegen import Dataset, camera_axes, wall_normal
+from render.transport.scene_loading import load_scene
+from scenegen import Dataset, NightError, camera_axes, wall_normal
 
 WIDTH, HEIGHT = 32, 24
 CAMERA = {"width": WIDTH, "height": HEIGHT}
@@ -38,10 +39,8 @@ def one_scene(make_dataset, shape, **sections):
     return make_dataset({"dataset": {"count": 1}, "hidden_object": hidden, "camera": CAMERA, **sections})
 
 
-def load(dataset, name="scene.xml"):
-    import mitsuba as mi
-
-    return mi.load_file(str(dataset.scene_folder("000000") / name), optimize=False)
+def load(dataset, **which):
+    return load_scene(dataset, "000000", **which)
 
 
 def measure(scene, spp, variant, *, max_bounces=3, seed=1, layout=LAYOUT):
@@ -71,8 +70,6 @@ def rendered(diffuse_sphere):
     transient = dataclasses.replace(index.preset.transient, max_bounces=1, bin_count=1500)
     preset = dataclasses.replace(index.preset, transient=transient)
     dataset = Dataset(diffuse_sphere.root, dataclasses.replace(index, preset=preset))
-    scene_file = dataset.scene_folder("000000") / "scene.json"
-    scene_file.write_text(scene_file.read_text().replace('"max_bounces": 3', '"max_bounces": 1'))
     Renderer(dataset, path_settings(256)).render("000000")
     return dataset
 
@@ -146,7 +143,7 @@ def test_the_mirrored_sphere_is_where_ray_sphere_geometry_puts_it(rendered):
 def test_the_mirrored_cube_is_where_its_planes_are(rough_cube, variant):
     from render.transport.mirrored import trace_ground_truth
 
-    truth = trace_ground_truth(load(rough_cube, "mirrored.xml"), WIDTH, HEIGHT, 20e6)
+    truth = trace_ground_truth(load(rough_cube, mirrored=True), WIDTH, HEIGHT, 20e6)
     scene = rough_cube.scene("000000")
     mesh = trimesh.load(rough_cube.scene_folder("000000") / "hidden_object_0.ply")
     rays = pixel_rays(WIDTH, HEIGHT, 60.0) @ camera_axes(scene.camera) * [-1, 1, 1]  # into the mirror
@@ -321,14 +318,16 @@ def test_an_aspect_ratio_that_the_projector_does_not_have_is_refused(rendered):
         Renderer(rendered, path_settings(4, resolution=(30, 30)))
 
 
-def test_a_scene_that_mitsuba_cannot_load_is_named(rendered, tmp_path):
+def test_a_scene_file_that_cannot_be_used_is_named(rendered, tmp_path):
     shutil.copytree(rendered.root, tmp_path / "copy")
     copy = Dataset(tmp_path / "copy", rendered.index)
-    (copy.scene_folder("000000") / "scene.xml").write_text(
-        "<scene version='3.0.0'><shape type='blob'/></scene>"
-    )
-    with pytest.raises(RenderError, match=r"cannot load .*scene.xml.*blob"):
-        Renderer(copy, path_settings(4)).render("000000")
+    renderer = Renderer(copy, path_settings(4, accept_edited=True))
+    (copy.scene_folder("000000") / "middle_wall.ply").unlink()
+    with pytest.raises(NightError, match=r"000000/middle_wall.ply is missing: run night-gen scenes"):
+        renderer.render("000000")
+    (copy.scene_folder("000000") / "middle_wall.ply").write_bytes(b"ply\nblob")
+    with pytest.raises(NightError, match=r"000000/middle_wall.ply cannot be read as PLY"):
+        renderer.render("000000")
 
 
 def test_a_pixel_that_is_not_finite_stops_before_anything_is_written(rendered, tmp_path):
@@ -339,5 +338,5 @@ def test_a_pixel_that_is_not_finite_stops_before_anything_is_written(rendered, t
     image = copy.scene_folder("000000") / "emitter.pfm"
     image.write_bytes(image.read_bytes()[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(RenderError, match="NaN"):
-        Renderer(copy, path_settings(4)).render("000000")
+        Renderer(copy, path_settings(4, accept_edited=True)).render("000000")
     assert list(copy.render_folder("000000").iterdir()) == []

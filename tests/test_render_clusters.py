@@ -13,7 +13,8 @@ import pytest
 from night_commands import night_here
 from render_runs import SETTINGS
 
-from render.farm.clusters import ClusterError, batch_cluster
+from render.farm.batch_system import batch_cluster
+from render.farm.dask_settings import ClusterError
 
 ROOT = Path(__file__).parent.parent
 SBATCH = """#!/bin/sh
@@ -68,17 +69,18 @@ def slurm(tmp_path, monkeypatch):
 )
 def test_the_sample_files_ask_for_what_they_say(tmp_path, monkeypatch, system, lines):
     monkeypatch.chdir(tmp_path)
-    with batch_cluster(ROOT / "data" / "clusters" / f"{system}.yaml") as cluster:
+    with batch_cluster(ROOT / "data" / "clusters" / f"{system}.yaml", tmp_path) as cluster:
         script = cluster.job_script()
         address = cluster.scheduler_address
     for line in lines:
         assert line in script.splitlines()
     (command,) = [line for line in script.splitlines() if "dask_worker" in line]
-    assert command.startswith(f"{sys.executable} -m distributed.cli.dask_worker {address} ")
+    assert command.startswith(f"{sys.executable} -P -m distributed.cli.dask_worker {address} ")
     for words in ("--nworkers 4", "--nthreads 4", "--nanny", "--lifetime 225m", "--memory-limit 7.45GiB"):
         assert words in command
 
 
+@pytest.mark.long
 def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm, unrendered, seven_renders):
     (slurm / "cluster.yaml").write_text(
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
@@ -116,14 +118,15 @@ def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm, unrendered, seven_re
 def test_a_cluster_file_that_is_not_understood_is_refused_by_name(tmp_path, text, words):
     file = tmp_path / "cluster.yaml"
     file.write_text(text)
-    with pytest.raises(ClusterError, match=re.escape(words)) as refusal:
-        batch_cluster(file)
+    with pytest.raises(ClusterError, match=re.escape(words)) as refusal, batch_cluster(file, tmp_path):
+        pass
     assert str(file) in str(refusal.value)
 
 
 def test_a_cluster_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(ClusterError, match="No such file"):
-        batch_cluster(tmp_path / "nowhere.yaml")
+    file = tmp_path / "nowhere.yaml"
+    with pytest.raises(ClusterError, match="No such file"), batch_cluster(file, tmp_path):
+        pass
 
 
 def test_joining_and_starting_a_cluster_at_once_is_refused(unrendered, tmp_path):

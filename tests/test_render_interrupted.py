@@ -7,17 +7,12 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import time
-from contextlib import contextmanager
 
-import numpy as np
 import psutil
 import pytest
 from dask_processes import dask_processes
-from night_commands import night, night_here
+from night_commands import night_here
 from render_runs import (
-    SETTINGS,
     begun,
     claim_of,
     meanwhile,
@@ -26,6 +21,7 @@ from render_runs import (
     wait_for,
     workers_of,
 )
+from small_disk import small_disk
 
 from render.farm.claims import claimed
 from scenegen import read_record
@@ -51,29 +47,6 @@ def test_a_killed_command_leaves_what_an_undisturbed_one_does(three_missing, sev
     assert not list(three_missing.glob("renders/[0-9]*/.*"))
 
 
-@pytest.mark.long
-def test_a_command_killed_ten_times_at_random_leaves_what_an_undisturbed_one_does(unrendered, seven_renders):
-    started = time.monotonic()
-    assert night("night-render", unrendered, *SETTINGS).returncode == 0
-    seconds = time.monotonic() - started
-    shutil.rmtree(unrendered / "renders")
-    moments = np.random.default_rng(4)
-    killed = 0
-    while killed < 10:
-        process = start_render(unrendered)
-        try:
-            process.wait(moments.uniform(0.2, 0.9) * seconds)
-            process.communicate()
-            shutil.rmtree(unrendered / "renders")  # it was faster than the signal: begin anew
-        except subprocess.TimeoutExpired:
-            kill_with_workers(process)
-            killed += 1
-    done = night("night-render", unrendered, *SETTINGS)
-    assert done.returncode == 0, done.stderr
-    assert results(unrendered) == results(seven_renders)
-    assert not list(unrendered.glob("renders/[0-9]*/.*"))
-
-
 def test_ctrl_c_ends_the_command_and_its_workers_with_one_word(three_missing, seven_renders, render_here):
     process = start_render(three_missing, start_new_session=True)
     wait_for(lambda: begun(claim_of(three_missing, "000004")))
@@ -89,6 +62,7 @@ def test_ctrl_c_ends_the_command_and_its_workers_with_one_word(three_missing, se
     assert results(three_missing) == results(seven_renders)
 
 
+@pytest.mark.long
 def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(
     three_missing, seven_renders, render_here, tmp_path
 ):
@@ -118,21 +92,6 @@ def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(t
     assert done.returncode == 2
     assert "is no dataset" in done.stderr
     assert not three_missing.exists()
-
-
-@contextmanager
-def small_disk(folder):
-    """A tmpfs mounted on `folder`; yields a function that sets its size in bytes."""
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", folder], capture_output=True, check=False)
-    if mounted.returncode != 0:
-        pytest.skip("mounting a small disk needs root")
-    try:
-        yield lambda size: subprocess.run(
-            ["mount", "-o", f"remount,size={size}", folder], check=True, capture_output=True
-        )
-    finally:
-        subprocess.run(["umount", "-l", folder], check=True, capture_output=True)
 
 
 def test_a_full_disk_stops_the_run_and_what_is_done_stays(

@@ -25,6 +25,12 @@ def test_other_settings_replace_nothing_unasked(rendered_copy, seven_renders, re
     assert '"lights": 64' in read_record(rendered_copy / "renders" / "000003").recipe
 
 
+def test_a_recorded_size_that_does_not_fit_the_camera_names_the_file(rendered_copy):
+    file = rendered_copy / "renders" / "rendering.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "height": 2**53}))
+    assert "rendering.json cannot be used" in refusal("night-render", "status", rendered_copy)
+
+
 def test_the_small_product_is_the_images_of_the_large_one_alone(unrendered, seven_renders, render_here):
     done = render_here(unrendered, *SETTINGS, "--product", "itof", "--only", "000003")
     assert done.returncode == 0, done.stderr
@@ -37,9 +43,9 @@ def test_the_small_product_is_the_images_of_the_large_one_alone(unrendered, seve
 def test_transients_can_be_dropped_and_a_larger_product_adds_them_again(
     rendered_copy, seven_renders, render_here
 ):
-    done = night_here("night-render", "drop-transients", rendered_copy)
+    done = night_here("night-render", "drop-transients", rendered_copy, "--yes")
     assert done.returncode == 0, done.stderr
-    assert "MB freed" in done.stdout
+    assert done.stdout.endswith("B freed\n")
     assert not list(rendered_copy.glob("renders/*/*transient.exr"))
     assert "7 good, 0 bad" in night_here("night-render", "verify", rendered_copy).stdout
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
@@ -107,7 +113,7 @@ def test_a_recipe_lists_the_options_of_both_methods_so_that_old_renders_stay_val
     seven_scenes, options, listed
 ):
     dataset = open_dataset(seven_scenes)
-    recipe = json.loads(RenderSettings(options=options).recipe(dataset, "000000"))
+    recipe = json.loads(RenderSettings(options=options).recipe(dataset, "0" * 64))
     assert recipe["options"] == listed
     assert list(recipe["options"]) == ["spp", "lights", "error"]  # recipes are compared as text
     assert recipe["method"] == options.method

@@ -37,6 +37,7 @@ def test_all_workers_of_a_scheduler_render(seven_renders):
     assert len(workers_in(run_log(seven_renders))) == 2
 
 
+@pytest.mark.long
 def test_workers_that_grow_make_way_for_fresh_ones_and_render_the_same(three_missing, seven_renders):
     dataset = open_dataset(three_missing)
     settings = RenderSettings(product="both", options=ManyLightOptions(error=0.05), device="cpu")
@@ -59,7 +60,7 @@ def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_
 
 
 def test_a_scheduler_that_is_not_there_is_named(unrendered, monkeypatch):
-    monkeypatch.setattr("render.farm.clusters._CONNECT_S", 1)
+    monkeypatch.setattr("render.farm.scheduler_address.CONNECT_S", 0.5)
     done = night_here("night-render", unrendered, "--scheduler", "tcp://127.0.0.1:9")
     assert done.returncode == 2
     assert "Error: no Dask scheduler answers at tcp://127.0.0.1:9" in done.stderr

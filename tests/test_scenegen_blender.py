@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import subprocess
 import sys
 
@@ -11,7 +12,7 @@ import trimesh
 from scene_folders import contents, of_seed_5
 
 from scenegen import DatasetError, camera_axes, sample_scene, scene_id, wall_normal
-from scenegen.files.whole_files import HOST
+from scenegen.files.partials import HOST
 from scenegen.making.generation import generate
 
 
@@ -172,7 +173,7 @@ def test_making_a_dataset_again_mends_its_scenes(maker, tmp_path):
     (scenes / scene_id(0) / "scene.json").write_text("{}")
     (scenes / scene_id(1) / "scene.xml").unlink()
     (scenes / scene_id(2) / "hidden_object_0.ply").write_bytes(b"")
-    (scenes / scene_id(3) / "notes.txt").write_text("mine")
+    shutil.rmtree(scenes / scene_id(3))
     generate(tmp_path, preset, maker, lambda: None)
     assert contents(tmp_path) == expected
 
@@ -214,6 +215,7 @@ print(made_bytes)
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("warm", "last"), [(50, 300), pytest.param(100, 3000, marks=pytest.mark.long)])
 def test_memory_stays_constant_however_many_scenes_are_made(warm, last):
     command = [sys.executable, "-c", MEMORY, str(warm), str(last)]
@@ -227,7 +229,7 @@ def test_memory_stays_constant_however_many_scenes_are_made(warm, last):
 def test_the_dataset_folder_keeps_its_contract(make_dataset):
     dataset = make_dataset({"dataset": {"count": 7}})
     index = json.loads((dataset.root / "dataset.json").read_text())
-    assert index["schema_version"] == 3
+    assert index["schema_version"] == 4
     assert index["preset"]["transient"]["bin_count"] == 2000
     assert [entry["id"] for entry in index["scenes"]] == [f"{i:06d}" for i in range(7)]
     simple = {file.name for file in dataset.scene_folder("000000").iterdir()}

@@ -1,11 +1,13 @@
 """A dataset that grows: more scenes later, interrupted work, and folders that are refused."""
 
 import json
+import re
+import shutil
 
 import numpy as np
 import pytest
 import trimesh
-from night_commands import refusal
+from night_commands import night_here, refusal
 from scene_folders import contents, identities, of_seed_5
 
 from scenegen import (
@@ -16,7 +18,8 @@ from scenegen import (
     scene_id,
     write_rendering_record,
 )
-from scenegen.making.generation import check_target, generate
+from scenegen.making.generation import generate
+from scenegen.making.target import check_target
 
 
 def test_extending_equals_making_at_once_and_touches_no_scene_that_is_there(maker, tmp_path):
@@ -88,6 +91,68 @@ def test_a_folder_beside_a_finished_dataset_that_is_not_its_own_is_refused(maker
     assert file.parent.exists()
     file.write_text(json.dumps(ours | {"index": 7}))
     check_target(root, of_seed_5(count))
+
+
+@pytest.mark.parametrize(
+    ("name", "put"),
+    [
+        ("notes.txt", lambda file: file.write_text("mine")),
+        ("my pictures", lambda file: file.mkdir()),
+        ("relay_wall.ply", lambda file: file.symlink_to("/etc/passwd")),
+    ],
+)
+@pytest.mark.parametrize("place", ["a scene", "a surplus scene", "a surplus scene of an unfinished dataset"])
+def test_files_of_the_user_in_a_scene_folder_are_refused_by_name(maker, tmp_path, place, name, put):
+    generate(tmp_path, of_seed_5(2), maker, lambda: None)
+    damaged = tmp_path / "scenes" / scene_id(0) / "scene.xml"
+    damaged.write_text("damaged")
+    folder = tmp_path / "scenes" / scene_id(1)
+    if place != "a scene":
+        folder = shutil.copytree(folder, folder.with_name(scene_id(7)))
+        scene = json.loads((folder / "scene.json").read_text())
+        (folder / "scene.json").write_text(json.dumps(scene | {"index": 7}))
+        if place != "a surplus scene":
+            (tmp_path / "dataset.json").unlink()
+    (folder / name).unlink(missing_ok=True)
+    put(folder / name)
+    before = sorted(str(file) for file in tmp_path.rglob("*"))
+    with pytest.raises(
+        DatasetError, match=rf"night-gen did not make .*{folder.name}/{name}.*move"
+    ) as refused:
+        generate(tmp_path, of_seed_5(2), maker, lambda: None)
+    assert "\n" not in str(refused.value)
+    assert sorted(str(file) for file in tmp_path.rglob("*")) == before
+    assert damaged.read_text() == "damaged"
+
+
+def test_a_mesh_too_many_is_not_deleted(maker, tmp_path):
+    generate(tmp_path, of_seed_5(2), maker, lambda: None)
+    file = tmp_path / "scenes" / scene_id(1) / "hidden_object_1.ply"  # this scene has one object
+    file.write_text("mine")
+    with pytest.raises(DatasetError, match=r"night-gen did not make .*hidden_object_1.ply"):
+        generate(tmp_path, of_seed_5(2), maker, lambda: None)
+    assert file.read_text() == "mine"
+
+
+def test_many_files_of_the_user_are_counted(maker, tmp_path):
+    generate(tmp_path, of_seed_5(2), maker, lambda: None)
+    for number in range(5):
+        (tmp_path / "scenes" / scene_id(1) / f"{number}.txt").touch()
+    command = ("night-gen", "scenes", tmp_path, "--seed", 5, "--count", 2)
+    sentence = refusal(*command, "--preset", "paper")
+    assert re.search(r"0.txt, .*1.txt, .*2.txt and 2 more", sentence)
+    assert refusal(*command) == sentence  # a dataset brings its own preset
+
+
+def test_a_dataset_grows_by_its_own_preset(maker, tmp_path):
+    (tmp_path / "my.toml").write_text("[dataset]\ncount = 2\nseed = 5\n[camera]\nwidth = 24\nheight = 18\n")
+    root = tmp_path / "data"
+    for command in (("--preset", tmp_path / "my.toml"), ("--count", 3)):
+        done = night_here("night-gen", "scenes", root, *command)
+        assert done.returncode == 0, done.stderr
+    assert len(open_dataset(root).ids()) == 3
+    assert open_dataset(root).preset.camera.width == 24
+    assert "already holds 3 scenes" in refusal("night-gen", "scenes", root, "--count", 2)
 
 
 def test_fewer_scenes_than_there_are_are_refused_with_the_number_there_is(maker, tmp_path):

@@ -10,7 +10,8 @@ from night_commands import night, night_here, refusal
 from scene_folders import contents, of_seed_5
 
 from scenegen import open_dataset, sample_scene, scene_id
-from scenegen.making.meshes import MAX_TRIANGLES, read_mesh
+from scenegen.making.meshes import read_mesh
+from scenegen.triangles import MAX_TRIANGLES
 
 PRESET = """
 [dataset]

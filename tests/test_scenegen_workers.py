@@ -99,6 +99,7 @@ def test_the_workers_end_with_the_command(working, number, code):
     assert_ended(workers)
 
 
+@pytest.mark.long
 def test_a_preset_without_room_is_refused_by_workers_in_the_same_words(tmp_path):
     (tmp_path / "my.toml").write_text(
         '[hidden_object]\nshapes = ["cube"]\ncomposite_fraction = 0.0\nlocation_m = { x = [0.1, 0.1] }\n'

@@ -6,7 +6,8 @@ import statistics
 from source_tree import ROOMS, ROOT
 
 FOLDERS = (*ROOMS, "benchmarks", "tests")
-PROGRAMS = [ROOT / "cli.py", *(file for folder in FOLDERS for file in sorted((ROOT / folder).rglob("*.py")))]
+MODULES = [ROOT / "cli.py", ROOT / "night_nlos.py"]
+PROGRAMS = [*MODULES, *(file for folder in FOLDERS for file in sorted((ROOT / folder).rglob("*.py")))]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 
 

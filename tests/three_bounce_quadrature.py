@@ -20,7 +20,18 @@ _WALL_NORMAL = np.array([1.0, 0.0, 0.0])
 
 
 def hidden_phasors(
-    width, height, frequencies_hz, patch, normal, *, camera, axes, camera_fov_deg, projector_fov_deg, order=40
+    width,
+    height,
+    frequencies_hz,
+    patch,
+    normal,
+    *,
+    camera,
+    axes,
+    camera_fov_deg,
+    projector_fov_deg,
+    order=40,
+    convex=False,
 ):
     """(H, W, F) phasors, averaged over pixels.
 
@@ -31,6 +42,7 @@ def hidden_phasors(
     camera : (3,) location of camera and projector, at the same height as the axis, which is horizontal.
     axes : (3, 3) rows right, down, forward.
     order : Gauss nodes along each axis of the lit wall.
+    convex : whether the patch is a face of a convex body, which may turn its back to parts of the wall.
     """
     turns = phase_per_metre(frequencies_hz)
     normal = np.asarray(normal) / np.linalg.norm(normal)
@@ -39,7 +51,7 @@ def hidden_phasors(
     r = np.linalg.norm(wall - camera, axis=1)
     towards = (wall - camera) / r[:, None]
     radiance = -(towards @ _WALL_NORMAL) / (r**2 * (towards @ axes[2]) ** 3)  # (M,)
-    transfer, distance = _form_factor(wall, points, normal)  # (M, P)
+    transfer, distance = _form_factor(wall, points, normal, convex)  # (M, P)
     irradiance = [
         np.einsum("m,mp->p", weights * radiance * np.exp(1j * k * r), transfer * np.exp(1j * k * distance))
         for k in turns
@@ -59,7 +71,7 @@ def hidden_phasors(
             rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
             t = camera[0] / -rays[..., 0]
             seen = camera + t[..., None] * rays  # (H, W, 3)
-            transfer, distance = _form_factor(seen, points, normal)  # (H, W, P)
+            transfer, distance = _form_factor(seen, points, normal, convex)  # (H, W, P)
             for index, k in enumerate(turns):
                 arrived = areas * irradiance[index] / np.pi**2
                 z[..., index] += share[row, column] * np.einsum(
@@ -68,14 +80,15 @@ def hidden_phasors(
     return z
 
 
-def _form_factor(wall, points, normal):
+def _form_factor(wall, points, normal, convex):
     """cos cos / d² between wall points (..., 3) and patch points (P, 3), and d: (..., P) each."""
     gap = points - wall[..., None, :]
     distance = np.linalg.norm(gap, axis=-1)
     at_wall = gap @ _WALL_NORMAL / distance
     at_patch = -gap @ normal / distance
     assert (at_wall > 0).all(), "every wall point lies before the patch"
-    assert (at_patch > 0).all(), "the patch shows its front to every wall point"
+    assert convex or (at_patch > 0).all(), "the patch shows its front to every wall point"
+    at_patch = np.maximum(at_patch, 0)
     return at_wall * at_patch / distance**2, distance
 
 

@@ -1,11 +1,18 @@
-"""Small training runs on closed-form scenes, and ways to interrupt and to change them."""
+"""Small training runs on closed-form scenes, and ways to interrupt and to change them.
+
+What is changed here gets a new checksum; a test of damage changes the bytes themselves.
+"""
 
 import contextlib
 import json
 
 import torch
+from safetensors.torch import load_file
 
+from model.run_folder.checksums import with_checksum
+from model.run_folder.weights import save_weights
 from model.settings import TrainSettings
+from model.training.checkpoint import save_checkpoint
 from model.training.loop import train
 
 FLIP = {"flip_columns": False, "rotation_deg": 0.0, "translation": 0.0}
@@ -43,9 +50,35 @@ def checkpoint(run) -> dict:
     return torch.load(run / "checkpoint.pt", weights_only=True)
 
 
+def config_of(run) -> dict:
+    return json.loads((run / "run.json").read_text())
+
+
 def edit_config(run, **changes) -> None:
-    config = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps(config | changes))
+    zeros = {"sha256": "0" * 64}  # the last key
+    text = json.dumps({**config_of(run), **changes, **zeros}, indent=2) + "\n"
+    (run / "run.json").write_bytes(with_checksum(text.encode(), '"sha256": "'))
+
+
+def edit_settings(run, **changes) -> None:
+    edit_config(run, settings=config_of(run)["settings"] | changes)
+
+
+def edit_weights(run, change) -> None:
+    """Replace each weight by `change(name, weight)`."""
+    weights = load_file(run / "best.safetensors")
+    changed = {name: change(name, weight) for name, weight in weights.items()}
+    save_weights(run, changed, config_of(run)["run_id"])
+
+
+def blind(run) -> None:
+    """Make the network answer 0 everywhere."""
+    last = max(name for name in load_file(run / "best.safetensors") if name.startswith("head."))
+    edit_weights(run, lambda name, weight: 0 * weight if name[:6] == last[:6] else weight)
+
+
+def edit_checkpoint(run, **parts) -> None:
+    save_checkpoint(run, checkpoint(run) | parts, config_of(run)["run_id"])
 
 
 def assert_same_end(run, other) -> None:

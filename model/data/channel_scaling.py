@@ -30,7 +30,8 @@ def fit_input_spec(
 
     Raises
     ------
-    ChannelError : there are no scenes, they hold no light, or a frequency was not rendered.
+    ChannelError : there are no scenes, they hold no light or numbers that are too large, or a frequency was
+        not rendered.
     """
     if not rows:
         raise ChannelError(
@@ -47,9 +48,16 @@ def fit_input_spec(
     for phasor in _phasors(shards, rows):
         amplitudes.append(amplitude(phasor[..., places[0]]).mean())
         if unscaled.uses_residual:
-            residual = residual_channels(phasor[..., places], reference).astype(np.float64)  # (2F - 1, H, W)
-            means.append(residual.mean(axis=(1, 2)))
-            squares.append((residual**2).mean(axis=(1, 2)))
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                residual = residual_channels(phasor[..., places], reference)  # (2F - 1, H, W)
+                residual = residual.astype(np.float64)
+                means.append(residual.mean(axis=(1, 2)))
+                squares.append((residual**2).mean(axis=(1, 2)))
+    if not np.isfinite([*amplitudes, *np.ravel(squares)]).all():
+        raise ChannelError(
+            f"the phasors.npy of {shards.folder} have numbers that are too large: delete that folder, and it "
+            "is made again"
+        )
     if not np.mean(amplitudes) > 0:
         raise ChannelError(f"the {len(rows)} training scenes hold no light: render them again")
     residual_scale: tuple[float, ...] = ()
@@ -57,7 +65,7 @@ def fit_input_spec(
         variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
         # A constant channel carries no information, so its scale does not matter.
         residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
-    return InputSpec(channels, chosen, float(np.mean(amplitudes)), residual_scale)
+    return InputSpec(channels, chosen, float(np.mean(amplitudes)), residual_scale, "measured")
 
 
 def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:

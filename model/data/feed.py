@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import torch
 
+from itof.machine_memory import machine_bytes
 from model.data.order import shuffled_windows, windows_in_order, without_first
 from model.data.rows import RowBlock
 from model.data.shards import Shards
 
 MEMORY_PART = 0.25  # of the memory of machine or GPU, for the rows of one split
-_CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
 def _as_read(block: RowBlock) -> RowBlock:
@@ -113,17 +111,6 @@ def memory_of(device: torch.device, sharers: int = 1) -> int:
     if device.type == "cpu":
         return share
     return min(share, torch.cuda.get_device_properties(device).total_memory)
-
-
-def machine_bytes() -> int:
-    """Memory of this machine or container, bytes."""
-    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for name in _CONTAINER_LIMITS:
-        try:
-            total = min(total, int(Path(name).read_text(encoding="ascii")))
-        except (OSError, ValueError):  # no such control group, or "max"
-            continue
-    return total
 
 
 def _read_ahead(

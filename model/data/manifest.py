@@ -64,8 +64,9 @@ def preset_sha256(preset: Preset) -> str:
 
 def read_manifest(folder: Path) -> ShardManifest | None:
     """Manifest of a shard folder; None if it is missing or unreadable."""
+    file = folder / MANIFEST_FILE
     try:
-        return TypeAdapter(ShardManifest).validate_json((folder / MANIFEST_FILE).read_bytes())
+        return TypeAdapter(ShardManifest).validate_json(file.read_bytes()) if file.is_file() else None
     except (OSError, ValidationError):
         return None
 

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from pydantic import TypeAdapter
 
 from itof import split_components
+from model.data.array_files import ArrayFile, header_of, is_array_file, read_array
 from model.data.pieces import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
-from model.data.rows import ARRAYS, RowBlock
+from model.data.rows import RowBlock
 from scenegen import Dataset, whole_folder
 
 
@@ -36,9 +35,9 @@ def write_piece(
     with whole_folder(folder) as partial:
         with ExitStack() as stack:
             files = {}
-            for name, (dtype, shape) in contents.layout.arrays.items():
+            for name, (dtype, shape) in contents.arrays.items():
                 stream = stack.enter_context((partial / f"{name}.npy").open("wb"))
-                files[name] = _ArrayFile(stream, dtype, (len(contents.scenes), *shape))
+                files[name] = ArrayFile(stream, dtype, shape)
             for rendered in _rendered(dataset, contents):
                 files["phasors"].append(np.moveaxis(split_components(rendered.phasor), -1, 0))
                 truth = rendered.truth
@@ -63,35 +62,56 @@ def read_rows(
 
     Raises
     ------
-    ShardError : the piece changed after the shards were opened.
+    ShardError : the piece changed after the shards were opened, or holds values that no render has.
     """
     ordered = sorted(rows, key=lambda pair: pair[1])
     changed = ShardError(
         f"{folder} changed while it was in use: another process rebuilt the shards; start again"
     )
     try:
-        for name in ARRAYS:
+        for name, (dtype, shape) in contents.arrays.items():
             file, array = folder / f"{name}.npy", getattr(block, name)
             if 2 * len(ordered) >= len(contents.scenes):
-                whole = np.load(file, allow_pickle=False)
+                whole = read_array(file, dtype, shape)
                 for place, row in ordered:
                     array[place] = whole[row]
                 del whole  # frees it before the next array is read
             else:
-                _read_single_rows(file, array, ordered)
+                _read_single_rows(file, dtype, shape, array, ordered)
     except (EOFError, FileNotFoundError, IndexError, ValueError):
         raise changed from None
     record = read_piece_record(folder)
     if record is None or record.contents != contents:
         raise changed
+    for name in contents.arrays:
+        if not all(_is_possible(name, getattr(block, name)[place]) for place, _ in ordered):
+            raise ShardError(
+                f"{folder / name}.npy holds NaN, infinite or impossible values, although its record vouches "
+                f"for it: delete the folder {folder}, which is then built again"
+            )
 
 
-def _read_single_rows(file: Path, array: NDArray[np.generic], rows: Sequence[tuple[int, int]]) -> None:
-    """Copy rows of a ``.npy`` file into `array`, without reading the other rows."""
+def _is_possible(name: str, row: NDArray[Any]) -> bool:
+    """Whether a row of an array can come from a render: finite, a depth from 0 on, a mask of 0 and 1."""
+    if name == "mask":
+        return bool(row.max() <= 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_finite = bool(np.isfinite(row.sum()))  # one pass; NaN and infinity do not leave a sum
+    return is_finite and not (name == "radial_depth_m" and row.min() < 0)
+
+
+def _read_single_rows(
+    file: Path,
+    dtype: DTypeLike,
+    shape: tuple[int, ...],
+    array: NDArray[Any],
+    rows: Sequence[tuple[int, int]],
+) -> None:
+    """Copy rows of a ``.npy`` file of this shape into `array`, without reading the other rows."""
+    if not is_array_file(file, dtype, shape):
+        raise ValueError(file)
+    start = len(header_of(dtype, shape))
     with file.open("rb") as stream:
-        np.lib.format.read_magic(stream)
-        np.lib.format.read_array_header_1_0(stream)
-        start = stream.tell()
         for place, row in rows:
             target = memoryview(array[place]).cast("B")
             stream.seek(start + row * len(target))
@@ -110,26 +130,3 @@ def _rendered(dataset: Dataset, contents: PieceContents) -> Iterator[RenderedSce
                 "resolution"
             )
         yield rendered
-
-
-class _ArrayFile:
-    """A ``.npy`` file that is written row by row, and its SHA-256."""
-
-    def __init__(self, stream: BinaryIO, dtype: DTypeLike, shape: tuple[int, ...]) -> None:
-        self._stream, self._dtype, self._hash = stream, np.dtype(dtype), hashlib.sha256()
-        header = io.BytesIO()
-        description = np.lib.format.dtype_to_descr(self._dtype)
-        np.lib.format.write_array_header_1_0(
-            header, {"descr": description, "fortran_order": False, "shape": shape}
-        )
-        self._write(header.getvalue())
-
-    def append(self, row: NDArray[np.generic]) -> None:
-        self._write(np.ascontiguousarray(row, self._dtype).tobytes())
-
-    def sha256(self) -> str:
-        return self._hash.hexdigest()
-
-    def _write(self, data: bytes) -> None:
-        self._stream.write(data)
-        self._hash.update(data)

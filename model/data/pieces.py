@@ -8,7 +8,7 @@
 ``piece.json``          SHA-256 of these arrays and of the renders from which they were made
 ======================  ====================================================================================
 
-Phasors are float32, because half floats cannot represent the hidden 0.1-0.3 % of the signal (docs/design.md,
+Phasors are float32, because half floats cannot represent the hidden 0.2 % of the signal (docs/design.md,
 Number types).
 """
 
@@ -17,15 +17,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from numpy.typing import DTypeLike
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from model.data.array_files import is_array_file
 from model.data.rows import ARRAYS, RowLayout
 from scenegen import FileHashes
 from scenegen.contract import STRICT, WholeCount
 
 PIECE_BYTES = 128 * 2**20  # upper limit, unless one scene takes more
 RECORD_FILE = "piece.json"
+PIECE_FILES = (*(f"{name}.npy" for name in ARRAYS), RECORD_FILE)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -56,6 +59,12 @@ class PieceContents:
         """Shape of a row."""
         return RowLayout(self.width, self.height, len(self.frequencies_hz))
 
+    @property
+    def arrays(self) -> dict[str, tuple[DTypeLike, tuple[int, ...]]]:
+        """Number type and shape of each array."""
+        rows = len(self.scenes)
+        return {name: (dtype, (rows, *shape)) for name, (dtype, shape) in self.layout.arrays.items()}
+
 
 @dataclass(frozen=True, config=STRICT)
 class PieceRecord:
@@ -73,11 +82,20 @@ def scenes_per_piece(layout: RowLayout) -> int:
 
 
 def read_piece_record(folder: Path) -> PieceRecord | None:
-    """Record of a piece; None if it is missing or unreadable."""
+    """Record of a piece; None if it is missing or unreadable. Its arrays are not looked at."""
+    file = folder / RECORD_FILE
     try:
-        return TypeAdapter(PieceRecord).validate_json((folder / RECORD_FILE).read_bytes())
+        return TypeAdapter(PieceRecord).validate_json(file.read_bytes()) if file.is_file() else None
     except (OSError, ValidationError):
         return None
+
+
+def has_its_arrays(folder: Path, contents: PieceContents) -> bool:
+    """Whether the arrays of a piece have the number types and sizes that `contents` says."""
+    return all(
+        is_array_file(folder / f"{name}.npy", dtype, shape)
+        for name, (dtype, shape) in contents.arrays.items()
+    )
 
 
 def why_stale(folder: Path, contents: PieceContents, hashes: FileHashes) -> str | None:
@@ -95,14 +113,11 @@ def why_stale(folder: Path, contents: PieceContents, hashes: FileHashes) -> str 
     changed = sorted(n for n, digest in contents.sources.items() if before.sources.get(n) != digest)
     if changed:
         return f"{len(changed)} renders changed, first {changed[0]}"
-    for name in (f"{array}.npy" for array in ARRAYS):
-        if _damaged(folder / name, record.files.get(name), hashes):
+    if before != contents:
+        return f"{folder.name}/{RECORD_FILE} names other renders"
+    for array, (dtype, shape) in contents.arrays.items():
+        name = f"{array}.npy"
+        is_whole = is_array_file(folder / name, dtype, shape)
+        if not is_whole or hashes.sha256(folder / name) != record.files.get(name):
             return f"{folder.name}/{name} is missing or damaged"
     return None
-
-
-def _damaged(file: Path, digest: str | None, hashes: FileHashes) -> bool:
-    try:
-        return hashes.sha256(file) != digest
-    except OSError:
-        return True

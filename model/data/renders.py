@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import DepthMap, Image, ImageFileError, read_image
-from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, FileHashes, NightError, read_record
+from scenegen import (
+    GROUND_TRUTH_FILE,
+    MEASUREMENT_FILE,
+    RENDER_AGAIN,
+    Dataset,
+    FileHashes,
+    NightError,
+    read_record,
+    recorded_file,
+)
+from scenegen.recorded_files import changed_file
 
 
 class ShardError(NightError):
@@ -65,46 +75,38 @@ def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, s
 
     Raises
     ------
-    ShardError : a scene is not rendered, or a file differs from the one in the scene's record.
-    ImageFileError : such a file is truncated or is not an EXR file.
+    ShardError : a scene is not rendered.
+    RenderFileError : a scene has no record, or a file differs from the one in it.
     """
     found: dict[str, dict[str, str]] = {scene: {} for scene in dataset.ids()}
-    recorded: dict[str, str] = {}
+    record = None
     for name, path in source_files(dataset).items():
         scene = path.parent.name
         if not found[scene]:
-            record = read_record(path.parent)  # None for measurements from another program
-            if record is None and dataset.rendering is not None:
-                read_render(dataset, scene)  # its own error is more specific
-                raise ShardError(
-                    f"scene {scene}: its renders are unfinished or were found damaged (there is no "
-                    f"render.json): run night-render {dataset.root} again"
-                )
-            recorded = {file: entry.sha256 for file, entry in record.files.items()} if record else {}
+            record = read_record(path.parent)
+        if record is None or path.name not in record.files:
+            recorded_file(dataset, scene, path.name)  # passes for measurements from another program
         digest = found[scene][name] = hashes.sha256(path)
-        if recorded.get(path.name, digest) != digest:
-            read_render(dataset, scene)  # its own error is more specific
-            raise ShardError(
-                f"scene {scene}: {path} is not the file that night-render wrote (its SHA-256 differs from "
-                f"the one in render.json): run night-render {dataset.root}, which renders it again"
-            )
+        if record is not None and record.files[path.name].sha256 != digest:
+            raise changed_file(dataset, scene, path)
     return found
 
 
 def read_render(dataset: Dataset, scene: str) -> RenderedScene:
-    """Measurement and ground truth of a scene.
+    """Measurement and ground truth of a scene, from files that are compared with their record first.
 
     Raises
     ------
-    ImageFileError : a file is missing, truncated or not an EXR file.
+    RenderFileError : the scene has no record, or a file is not the recorded one.
+    ImageFileError : a file without a record is missing, truncated or not an EXR file.
     ShardError : a channel is missing, a value is not finite, the frequencies are not those of the dataset,
         or measurement and ground truth differ in size.
     """
     frequencies_hz = dataset.preset.itof.frequencies_hz
-    measured_file = dataset.render_folder(scene) / MEASUREMENT_FILE
-    truth_file = dataset.render_folder(scene) / GROUND_TRUTH_FILE
-    phasor = _phasors(scene, measured_file, read_image(measured_file), frequencies_hz)
-    truth = _ground_truth(scene, truth_file, frequencies_hz[0])
+    measured_file = recorded_file(dataset, scene, MEASUREMENT_FILE)
+    image = read_image(measured_file, advice=RENDER_AGAIN)
+    phasor = _phasors(scene, measured_file, image, frequencies_hz)
+    truth = _ground_truth(scene, recorded_file(dataset, scene, GROUND_TRUTH_FILE), frequencies_hz[0])
     if phasor.shape[:2] != truth.mask.shape:
         height, width = truth.mask.shape
         raise ShardError(
@@ -116,11 +118,11 @@ def read_render(dataset: Dataset, scene: str) -> RenderedScene:
 
 
 def _ground_truth(scene: str, file: Path, frequency_hz: float) -> DepthMap:
-    image = read_image(file)
+    image = read_image(file, advice=RENDER_AGAIN)
     try:
         truth = DepthMap.of_image(image)
     except ImageFileError as error:
-        raise ShardError(f"scene {scene}: {file} {error}: delete it and render again") from None
+        raise ShardError(f"scene {scene}: {file} {error}: {RENDER_AGAIN}") from None
     _refuse_other_frequencies(scene, file, (truth.frequency_hz,), (frequency_hz,))
     return truth
 
@@ -131,7 +133,7 @@ def _phasors(
     try:
         phasor, found_hz = image.phasors("itof")  # (H, W, F)
     except ImageFileError as error:
-        raise ShardError(f"scene {scene}: {file} holds no phasors ({error})") from None
+        raise ShardError(f"scene {scene}: {file} holds no phasors ({error}): {RENDER_AGAIN}") from None
     _refuse_other_frequencies(scene, file, found_hz, frequencies_hz)
     _refuse_not_finite(scene, file, phasor)
     return phasor
@@ -150,9 +152,7 @@ def _refuse_other_frequencies(
 def _refuse_not_finite(scene: str, file: Path, phasor: NDArray[np.complex64]) -> None:
     bad = int(np.count_nonzero(~np.isfinite(phasor)))
     if bad:
-        raise ShardError(
-            f"scene {scene}: {file} holds {bad} values that are NaN or infinite: delete it and render again"
-        )
+        raise ShardError(f"scene {scene}: {file} holds {bad} values that are NaN or infinite: {RENDER_AGAIN}")
 
 
 def _megahertz(frequencies_hz: tuple[float, ...]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,7 +39,7 @@ class RowLayout:
     @property
     def row_bytes(self) -> int:
         """Size of a row in all arrays together, bytes."""
-        return sum(np.dtype(t).itemsize * int(np.prod(shape)) for t, shape in self.arrays.values())
+        return sum(np.dtype(t).itemsize * math.prod(shape) for t, shape in self.arrays.values())
 
     def empty(self, rows: Sequence[int]) -> RowBlock:
         """An uninitialised block for `rows`."""

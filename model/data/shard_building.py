@@ -5,19 +5,30 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from itof import split_components
+from model.data.array_files import is_array_file
 from model.data.manifest import MANIFEST_FILE, ShardManifest, preset_sha256, read_manifest, write_manifest
 from model.data.piece_arrays import write_piece
-from model.data.pieces import PieceContents, PieceRecord, read_piece_record, scenes_per_piece, why_stale
+from model.data.pieces import (
+    PIECE_FILES,
+    PieceContents,
+    PieceRecord,
+    has_its_arrays,
+    read_piece_record,
+    scenes_per_piece,
+    why_stale,
+)
 from model.data.renders import ShardError, read_render, source_hashes
 from model.data.rows import ARRAYS, RowLayout
 from model.network.wall_view import wall_view
 from scenegen import Dataset, FileHashes, whole_file
-from scenegen.files.whole_files import remove_leftovers
+from scenegen.files.own_files import other_files
+from scenegen.files.partials import remove_leftovers
 from scenegen.progress import showing_progress
 
 REFERENCE_FILE = "reference.npy"
@@ -29,7 +40,8 @@ def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> Shard
 
     Raises
     ------
-    ShardError, ImageFileError : renders are missing, damaged, not finite or differ in size.
+    ShardError, ImageFileError : renders are missing, damaged, not finite or differ in size, or the folder of
+        a piece holds other files.
     OSError : the disk is full.
     """
     folder = dataset.shard_folder
@@ -37,6 +49,7 @@ def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> Shard
     layout = _layout(dataset, sources)
     pieces = _pieces(dataset, layout, sources)
     before = read_manifest(folder)
+    _refuse_other_files(folder)
     _remove_surplus(folder, {piece.name for piece in pieces})
     rebuilt = _update_pieces(dataset, pieces, hashes, progress)
     manifest = ShardManifest(
@@ -44,7 +57,7 @@ def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> Shard
         width=layout.width,
         height=layout.height,
         preset_sha256=preset_sha256(dataset.preset),
-        scenes=dataset.index.scenes,
+        scenes=tuple(replace(entry, sha256=None) for entry in dataset.index.scenes),
         scenes_per_piece=scenes_per_piece(layout),
         pieces=tuple(_record(folder / piece.name) for piece in pieces),
         reference_sha256=_update_reference(dataset, layout, before, hashes),
@@ -58,8 +71,10 @@ def _layout(dataset: Dataset, sources: Mapping[str, Mapping[str, str]]) -> RowLa
     """Shape of a row, from the first scene; its images are read only if its piece is out of date."""
     first = dataset.ids()[0]
     frequencies_hz = dataset.preset.itof.frequencies_hz
-    record = read_piece_record(dataset.shard_folder / first)
-    if record and sources[first].items() <= record.contents.sources.items():
+    folder = dataset.shard_folder / first
+    record = read_piece_record(folder)
+    is_current = record is not None and sources[first].items() <= record.contents.sources.items()
+    if record and is_current and has_its_arrays(folder, record.contents):
         return RowLayout(record.contents.width, record.contents.height, len(frequencies_hz))
     height, width = read_render(dataset, first).truth.mask.shape
     return RowLayout(width, height, len(frequencies_hz))
@@ -117,11 +132,10 @@ def _update_reference(
     file = dataset.shard_folder / REFERENCE_FILE
     asked = (preset_sha256(dataset.preset), layout)
     if before and (before.preset_sha256, before.layout) == asked:
-        try:
-            if hashes.sha256(file) == before.reference_sha256:
-                return before.reference_sha256
-        except OSError:
-            _log.info("%s is missing", file)
+        if not is_array_file(file, *reference_array(layout)):
+            _log.info("%s is missing or damaged", file)
+        elif hashes.sha256(file) == before.reference_sha256:
+            return before.reference_sha256
     reference = wall_view(dataset).direct_phasors(
         layout.width, layout.height, dataset.preset.itof.frequencies_hz
     )
@@ -131,6 +145,22 @@ def _update_reference(
     return hashes.sha256(file)
 
 
+def reference_array(layout: RowLayout) -> tuple[type[np.float32], tuple[int, ...]]:
+    """Number type and shape of the array in ``reference.npy``."""
+    return np.float32, (2 * layout.frequency_count, layout.height, layout.width)
+
+
+def _refuse_other_files(folder: Path) -> None:
+    """Refuse files of others in the folders of pieces, which are removed or replaced as a whole."""
+    pieces = sorted(entry for entry in folder.glob("*") if entry.name.isdigit() and entry.is_dir())
+    for piece in pieces:
+        for name in other_files(piece, dict.fromkeys(PIECE_FILES)):
+            raise ShardError(
+                f"{piece / name} is none of the shards' files, and its folder may be replaced: move it "
+                "elsewhere"
+            )
+
+
 def _remove_surplus(folder: Path, pieces: set[str]) -> None:
     """Remove pieces of another layout, arrays of schema version 1 and files of killed processes."""
     if not folder.is_dir():
@@ -138,6 +168,6 @@ def _remove_surplus(folder: Path, pieces: set[str]) -> None:
     remove_leftovers(folder)
     for entry in folder.iterdir():
         if entry.is_dir() and entry.name.isdigit() and entry.name not in pieces:
-            shutil.rmtree(entry)
+            entry.unlink() if entry.is_symlink() else shutil.rmtree(entry)
         elif entry.name in {f"{name}.npy" for name in ARRAYS}:
             entry.unlink()

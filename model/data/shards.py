@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import join_components
-from model.data.manifest import ShardManifest
+from model.data.array_files import read_array
+from model.data.manifest import MANIFEST_FILE, ShardManifest
 from model.data.piece_arrays import read_rows
 from model.data.renders import ShardError
 from model.data.rows import RowBlock
-from model.data.shard_building import REFERENCE_FILE, update_shards
+from model.data.shard_building import REFERENCE_FILE, reference_array, update_shards
 from scenegen import Dataset, FileHashes, Split, read_failure
 
 _log = logging.getLogger(__name__)
@@ -81,7 +82,7 @@ def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
 
     Raises
     ------
-    ShardError, ImageFileError : renders are missing, damaged, not finite or differ in size.
+    ShardError, RenderFileError, ImageFileError : renders are missing, damaged, not finite or differ in size.
     OSError : the disk is full.
     """
     hashes = FileHashes(dataset.root)
@@ -89,7 +90,18 @@ def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
         manifest = update_shards(_without_failures(dataset), hashes, progress)
     finally:
         hashes.save()
-    reference = np.load(dataset.shard_folder / REFERENCE_FILE, allow_pickle=False)  # (2F, H, W)
+    file = dataset.shard_folder / REFERENCE_FILE
+    try:
+        reference = read_array(file, *reference_array(manifest.layout))  # (2F, H, W)
+    except (OSError, ValueError):
+        raise ShardError(
+            f"{file} changed while it was in use: another process rebuilt the shards; start again"
+        ) from None
+    if not np.isfinite(reference).all():
+        raise ShardError(
+            f"{file} holds NaN or infinite values, although {MANIFEST_FILE} vouches for it: delete it, and "
+            "it is made again"
+        )
     return Shards(dataset.shard_folder, manifest, join_components(np.moveaxis(reference, 0, -1)))
 
 

@@ -10,7 +10,7 @@ from array_api_compat import array_namespace, device, is_array_api_obj
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from itof import network_channels, residual_channels
+from itof import SubpixelWeights, network_channels, residual_channels
 from model.settings import Channels
 from scenegen import NightError
 from scenegen.contract import STRICT, Positive
@@ -29,8 +29,8 @@ class InputSpec:
 
     ``residual``: the channels of `itof.residual_channels`, five for three frequencies. They divide the
     phasors by the direct return of the relay wall and keep the differences. Each channel is divided by its
-    standard deviation over the training scenes. This gives the hidden 0.1-0.3 % of the signal unit variance;
-    without it a network learns little (docs/design.md, Input channels).
+    standard deviation over the training scenes. This gives the hidden light, 0.2 % of the signal, unit
+    variance; without it a network learns little (docs/design.md, Input channels).
 
     Attributes
     ----------
@@ -38,6 +38,8 @@ class InputSpec:
     frequencies_hz : F modulation frequencies of the input, Hz.
     amplitude_scale : mean A_0 of the training scenes, in the unit of the phasors.
     residual_scale : 2F - 1 standard deviations, dimensionless; empty if `channels` has no residual.
+    subpixel_weights : how `itof.residual_channels` weights the paths within a pixel. ``uniform`` in runs of
+        version 0.1, whose ``run.json`` has no such key: they see what they were trained with.
 
     Raises
     ------
@@ -50,6 +52,9 @@ class InputSpec:
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)]
     amplitude_scale: Positive
     residual_scale: tuple[Positive, ...]
+    subpixel_weights: Annotated[SubpixelWeights, Field(exclude_if=lambda value: value == "uniform")] = (
+        "uniform"
+    )
 
     def __post_init__(self) -> None:
         expected = self._residual_count if self.uses_residual else 0
@@ -112,7 +117,7 @@ class InputSpec:
         if self.uses_residual:
             if reference is None:
                 raise ValueError(f"channels {self.channels} need the relay wall's direct return as reference")
-            residual = residual_channels(z, reference)
+            residual = residual_channels(z, reference, self.subpixel_weights)
             scale = xp.asarray(self.residual_scale, dtype=xp.float32, device=device(z))
             parts.append(residual / scale[:, None, None])  # (2F - 1, 1, 1)
         return xp.concat(parts, axis=-3)

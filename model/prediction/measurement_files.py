@@ -7,39 +7,26 @@
 ==================  ========================================================================================
 
 ``phasors`` is (H, W, F) or (N, H, W, F) complex, ``frequencies_hz`` is (F,) in Hz, ``reference`` is (H, W, F)
-complex. Reading a file never executes anything in it: pickled arrays are refused.
+complex. Reading a file never executes anything in it: pickled arrays, HDF5 filters from plugins and links to
+other files are refused. The file is read in a process of its own (`model.prediction.measurement_process`).
 """
 
 from __future__ import annotations
 
-import tokenize
-import zipfile
-import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import ImageFileError, read_image
-from scenegen import NightError
+from model.prediction.array_claims import ARRAYS, RefusedError
+from model.prediction.measurement_process import FileContents, read_contents
+from scenegen import NightError, PathLike
 
-ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
+_ENDINGS = (".exr", ".npz", ".h5", ".hdf5")
 _SAME_FREQUENCY = 1e-6  # relative tolerance; changes the phase of 20 m optical path at 20 MHz by 8e-6 rad
-# RuntimeError: the archive is encrypted or its compression is unknown. TokenError: a header is damaged.
-_NPZ_ERRORS = (
-    ValueError,
-    OSError,
-    EOFError,
-    KeyError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
-)
 
 
 class MeasurementError(NightError):
@@ -57,6 +44,7 @@ class Measurement:
     frequencies_hz : F modulation frequencies, Hz, in the order of the phasors.
     reference : (H, W, F) complex capture of the empty corner; None if the file has none.
     in_training_unit : whether the phasors have the unit of rendered scenes; cameras have other units.
+    ignored : names of arrays in the file that are not used, such as ``ref`` for ``reference``.
     """
 
     path: Path
@@ -64,6 +52,7 @@ class Measurement:
     frequencies_hz: tuple[float, ...]
     reference: NDArray[np.complexfloating[Any, Any]] | None
     in_training_unit: bool
+    ignored: tuple[str, ...] = ()
 
     def at(self, frequencies_hz: Sequence[float]) -> Measurement:
         """The measurement with these frequencies only, Hz, in this order.
@@ -86,78 +75,42 @@ class Measurement:
                 f"{self.path} holds {_megahertz(found)}, the network also needs {_megahertz(missing)}{hint}"
             )
         reference = None if self.reference is None else self.reference[..., nearest]
-        return Measurement(
-            self.path, self.phasors[..., nearest], tuple(frequencies_hz), reference, self.in_training_unit
+        return replace(
+            self,
+            phasors=self.phasors[..., nearest],
+            frequencies_hz=tuple(frequencies_hz),
+            reference=reference,
         )
 
 
-def read_measurement(path: Path) -> Measurement:
+def read_measurement(path: PathLike) -> Measurement:
     """Read a measurement file; its ending tells the format.
 
     Raises
     ------
-    MeasurementError : the ending is unknown; the file is missing, damaged or of another format; an array is
-        missing or has the wrong type or shape; a value is not finite.
+    MeasurementError : the ending is unknown; the file is missing, damaged or of another format, or claims
+        more than the memory of this machine can hold; an array is missing or has the wrong type or shape; a
+        value is not finite.
     """
-    readers = {".exr": _read_exr, ".npz": _read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5}
-    reader = readers.get(path.suffix.lower())
+    path = Path(path)
     if not path.is_file():
         raise MeasurementError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}")
-    if reader is None:
+    if path.suffix.lower() not in _ENDINGS:
         ending = f"the ending {path.suffix}" if path.suffix else "no ending"
-        raise MeasurementError(f"{path} has {ending}: measurements are read from {', '.join(readers)} files")
-    return reader(path)
-
-
-def _read_exr(path: Path) -> Measurement:
+        raise MeasurementError(f"{path} has {ending}: measurements are read from {', '.join(_ENDINGS)} files")
     try:
-        image = read_image(path)
-    except ImageFileError as error:
+        contents = read_contents(path)
+    except RefusedError as error:
         raise MeasurementError(str(error)) from None
-    try:
-        phasors, frequencies_hz = image.phasors()  # (H, W, F)
-    except ImageFileError as error:
-        raise MeasurementError(f"{path} holds no phasors: {error}") from None
-    _refuse_not_finite(path, "phasors", phasors[None])
-    return Measurement(path, phasors[None], frequencies_hz, None, in_training_unit=True)
+    return measurement_of(path, contents)
 
 
-def _read_npz(path: Path) -> Measurement:
-    try:
-        with path.open("rb") as stream:
-            archive = np.load(stream, allow_pickle=False)
-            names = archive.files if isinstance(archive, np.lib.npyio.NpzFile) else None
-            found = {name: archive[name] for name in ARRAYS if names and name in names}
-    except _NPZ_ERRORS as error:
-        if "allow_pickle" in str(error):
-            reason = "it holds pickled Python objects, which could run any program; save plain arrays"
-        else:
-            reason = f"it is damaged or no .npz archive ({error})"
-        raise MeasurementError(f"{path} cannot be read: {reason}") from None
-    if names is None:
-        raise MeasurementError(f"{path} is one bare array, not an .npz archive: write it with numpy.savez")
-    return _measurement(path, found, names)
-
-
-def _read_hdf5(path: Path) -> Measurement:
-    try:
-        with h5py.File(path, "r") as file:
-            names = list(file)
-            found = {
-                name: np.asarray(file[name][()])
-                for name in ARRAYS
-                if isinstance(file.get(name), h5py.Dataset)
-            }
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise MeasurementError(f"{path} cannot be read: it is damaged or no HDF5 file ({error})") from None
-    return _measurement(path, found, names)
-
-
-def _measurement(path: Path, found: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Measurement:
-    """The measurement of the arrays `found`, after checks; `names` are all names in the file."""
+def measurement_of(path: Path, contents: FileContents) -> Measurement:
+    """The measurement in the arrays of a file; `MeasurementError` if they are not as they should be."""
+    found = contents.arrays
     for name in ARRAYS[:2]:
         if name not in found:
-            there = ", ".join(sorted(map(str, names))) or "nothing"
+            there = ", ".join(sorted(contents.names)[:20]) or "nothing"
             raise MeasurementError(f"{path} has no array {name}; it holds {there}")
     frequencies_hz = _frequencies(path, found["frequencies_hz"])
     phasors = found["phasors"]
@@ -179,7 +132,14 @@ def _measurement(path: Path, found: Mapping[str, NDArray[Any]], names: Sequence[
                 f"{path}: reference is 0 in {dark} pixels that have light in the measurement: capture the "
                 "empty corner with the same exposure"
             )
-    return Measurement(path, phasors, frequencies_hz, reference, in_training_unit=False)
+    return Measurement(
+        path,
+        phasors,
+        frequencies_hz,
+        reference,
+        in_training_unit=path.suffix.lower() == ".exr",
+        ignored=tuple(name for name in contents.names if name not in ARRAYS),
+    )
 
 
 def _frequencies(path: Path, values: NDArray[Any]) -> tuple[float, ...]:

@@ -17,10 +17,11 @@ import torch
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
-from model.run_folder import RunConfig
-from scenegen import NightError, whole_file
+from model.run_folder.run_config import RunConfig
+from scenegen import NightError, PathLike, whole_file
 
 INPUT: Final = "channels"
 OUTPUT: Final = "components"
@@ -54,7 +55,7 @@ class OnnxCheck:
     tolerance: float
     largest_output: float
 
-    def sentence(self, out: Path) -> str:
+    def sentence(self, out: PathLike) -> str:
         """The outcome as text; `out` is the file."""
         return (
             f"{out}: differs from PyTorch by at most {self.largest_difference:.2g}, with outputs up to "
@@ -62,7 +63,7 @@ class OnnxCheck:
         )
 
 
-def export_onnx(run: Path, out: Path, *, seed: int = 0) -> OnnxCheck:
+def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
     """Write the network of `run` as the ONNX file `out`, whole or not at all.
 
     The input ``channels`` (N, C, H, W) float32 are those of `InputSpec.apply`. The output ``components``
@@ -80,9 +81,10 @@ def export_onnx(run: Path, out: Path, *, seed: int = 0) -> OnnxCheck:
     Raises
     ------
     ExportError : `out` does not end in .onnx or is a folder; a package is missing; the outputs differ by more
-        than rounding.
+        than rounding, or are not finite.
     RunError : the run cannot be used.
     """
+    out = Path(out)
     if out.suffix != ".onnx" or out.is_dir():
         raise ExportError(f"{out} cannot be an ONNX file: give a file that ends in .onnx")
     missing = [name for name in NEEDED if find_spec(name) is None]
@@ -92,7 +94,8 @@ def export_onnx(run: Path, out: Path, *, seed: int = 0) -> OnnxCheck:
         )
     predictor = load(run, "cpu")
     network, config = predictor.network.eval(), predictor.config
-    model = _onnx_model(network, config)
+    with plain_memory_errors():
+        model = _onnx_model(network, config)
     with whole_file(out) as partial:
         partial.write_bytes(model.SerializeToString())
         check = _compare(partial, network, config, seed)
@@ -146,6 +149,11 @@ def _compare(file: Path, network: UNet, config: RunConfig, seed: int) -> OnnxChe
         ours = _run(network, channels)
         truth = _run(exact, channels.double())
         theirs = np.asarray(session.run([OUTPUT], {INPUT: channels.numpy()})[0])
+        if not all(np.isfinite(output).all() for output in (ours, truth, theirs)):
+            raise ExportError(
+                "the network answers with NaN or infinite values to random channels: its weights are of no "
+                "use, train again"
+            )
         largest = float(np.abs(truth).max())
         one_rounding = float(np.finfo(np.float32).eps) * max(largest, 1.0)  # the ground truth has amplitude 1
         rounding = max(float(np.abs(ours - truth).max()), one_rounding)

@@ -1,7 +1,7 @@
 """Point clouds of depth maps.
 
 Points are in *camera axes*: x to the right, y down, z forward, metres, camera at the origin. They show the
-mirrored scene: the hidden object as if the relay wall were a mirror.
+mirrored scene: the mirror image of the hidden object in the relay wall.
 """
 
 from __future__ import annotations

@@ -11,15 +11,19 @@ from typing import Any, Final
 import numpy as np
 
 from itof import DepthMap
+from model.prediction.check_result import MeasurementCheck, WallFound
 from model.prediction.figures import prediction_figure, write_figure
-from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
+from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
+from model.prediction.measurement_files import Measurement, MeasurementError
 from model.prediction.pointclouds import object_points, write_point_cloud
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.settings import DeviceName
-from scenegen import NightError, whole_folder, write_text
+from scenegen import NightError, PathLike, whole_folder, write_text
+from scenegen.files.own_files import hashes_of, refuse_other_files
 from scenegen.progress import showing_progress
 
-PREDICTION_SCHEMA: Final = 1
+PREDICTION_SCHEMA: Final = 2  # 1 had no `ignored`, `wall`, `findings`
+_KNOWN_SCHEMAS: Final = (1, 2)  # of earlier predictions, which are replaced
 RECORD: Final = "prediction.json"
 
 
@@ -37,12 +41,14 @@ class PredictedImage:
     object_pixels : number of pixels that show the hidden object.
     median_radial_depth_m : median radial depth of these pixels, metres; None if there are none.
     files : names of its files in the output folder.
+    wall : the relay wall as the measurement shows it; None if it shows none.
     """
 
     name: str
     object_pixels: int
     median_radial_depth_m: float | None
     files: tuple[str, ...]
+    wall: WallFound | None
 
     @property
     def sentence(self) -> str:
@@ -55,61 +61,99 @@ class PredictedImage:
         )
 
 
+@dataclass(frozen=True)
+class FilePrediction:
+    """Outcome of `predict_file`.
+
+    Attributes
+    ----------
+    images : the predicted images, in the order of the file.
+    check : how the measurement compares with the relay wall of the run.
+    """
+
+    images: tuple[PredictedImage, ...]
+    check: MeasurementCheck
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The outcome as text: the reference, the wall, and what each image shows."""
+        return (*self.check.sentences, *(image.sentence for image in self.images))
+
+
 def predict_file(
-    run: Path,
-    measurement_file: Path,
-    out: Path,
+    run: PathLike,
+    measurement_file: PathLike,
+    out: PathLike,
     *,
     rescale: bool | None = None,
+    force: bool = False,
     device: DeviceName = "auto",
     progress: bool = True,
-) -> tuple[PredictedImage, ...]:
+) -> FilePrediction:
     """Predict every image of a measurement file and write the folder `out`.
 
     ===================  =====================================================================================
     ``000000.exr``       depth map of image 0: ``depth.R``, ``mask.M`` and phasor, as in ``mirrored.exr``
     ``000000.png``       picture of the depth map
     ``000000.ply``       point cloud; missing if no pixel shows an object
-    ``prediction.json``  run, measurement and files of the prediction
+    ``prediction.json``  run, measurement, findings about it, and files of the prediction
     ===================  =====================================================================================
 
-    The folder is written whole or not at all and replaces an earlier prediction.
+    The folder is written whole or not at all and replaces an earlier prediction. It is not replaced if it has
+    got other files since, or if one of its files was changed.
 
     Parameters
     ----------
     run : run folder of the trained network.
     rescale : as in `Predictor.predict`; None rescales unless the file is in the unit of rendered scenes.
+    force : predict also from a measurement that is not that of the run's relay wall.
 
     Raises
     ------
+    ImplausibleError : the light in the file is not that of the run's relay wall: no wall, a wrong sign, order
+        or axis, another pose, an uncalibrated camera. Not with `force`.
     MeasurementError : the file cannot be read, or the run was trained for another image size or for
         frequencies that the file lacks.
     PredictionError : `out` contains anything but an earlier prediction.
     RunError, DeviceError : the run or the device cannot be used.
     """
-    out = out.resolve()  # `whole_folder` needs a name; "." has none
+    run, measurement_file, out = Path(run), Path(measurement_file), Path(out).resolve()
     _refuse_other_contents(out)
     predictor = load(run, device)
-    measured = read_measurement(measurement_file).at(predictor.config.inputs.frequencies_hz)
-    _refuse_other_size(predictor, measured, run)
+    measured = fitting_measurement(predictor, measurement_file, run)
     chosen = not measured.in_training_unit if rescale is None else rescale
+    check = check_measured(predictor, measured, rescale=chosen, thorough=force, progress=progress)
+    if check.refused and not force:
+        raise ImplausibleError(
+            f"{measurement_file} is not what {run} was trained on: {'; '.join(check.warnings)}; "
+            "with --force (force=True) it is predicted all the same"
+        )
     with whole_folder(out) as folder:
-        images = _predict_all(predictor, measured, chosen, folder, progress)
+        images = _predict_all(predictor, measured, check, chosen, folder, progress)
         record: dict[str, Any] = {
             "schema_version": PREDICTION_SCHEMA,
             "run": str(run.resolve()),
             "measurement": str(measurement_file.resolve()),
             "rescaled": chosen,
             "reference": "computed" if measured.reference is None else "measured",
+            "ignored": measured.ignored,
+            "findings": [asdict(finding) for finding in check.findings],
             "depth": "radial (along the ray), metres; 0 on background",
             "images": [asdict(image) for image in images],
+            "files": hashes_of(folder),
         }
         write_text(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
-    return images
+        _refuse_other_contents(out)  # which may have got other files meanwhile
+    return FilePrediction(images, check)
 
 
 def _predict_all(
-    predictor: Predictor, measured: Measurement, rescale: bool, folder: Path, progress: bool
+    predictor: Predictor,
+    measured: Measurement,
+    check: MeasurementCheck,
+    rescale: bool,
+    folder: Path,
+    progress: bool,
 ) -> tuple[PredictedImage, ...]:
     """Predict the images batch by batch and write their files."""
     images = []
@@ -128,13 +172,19 @@ def _predict_all(
             for index in range(len(batch)):
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
-                images.append(_write(folder, name, predictions[index], predictor, about))
+                wall = check.walls[start + index]
+                images.append(_write(folder, name, predictions[index], wall, predictor, about))
                 bar.update()
     return tuple(images)
 
 
 def _write(
-    folder: Path, name: str, one: DepthMap, predictor: Predictor, attributes: dict[str, str]
+    folder: Path,
+    name: str,
+    one: DepthMap,
+    wall: WallFound | None,
+    predictor: Predictor,
+    attributes: dict[str, str],
 ) -> PredictedImage:
     """Write depth map, picture and point cloud of one (H, W) prediction."""
     files = [f"{name}.exr", f"{name}.png"]
@@ -146,38 +196,24 @@ def _write(
         files.append(f"{name}.ply")
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
-    return PredictedImage(name, len(points_m), median_m, tuple(files))
-
-
-def _refuse_other_size(predictor: Predictor, measured: Measurement, run: Path) -> None:
-    config = predictor.config
-    height, width = measured.phasors.shape[1:3]
-    if (width, height) != (config.image_width, config.image_height):
-        raise MeasurementError(
-            f"{measured.path} holds images of {width}x{height} pixels, {run} was trained on "
-            f"{config.image_width}x{config.image_height}: scale the images, or train a run at their size"
-        )
+    return PredictedImage(name, len(points_m), median_m, tuple(files), wall)
 
 
 def _refuse_other_contents(out: Path) -> None:
-    """Refuse an output folder that contains anything but an earlier prediction."""
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise PredictionError(f"{out} is a file: give the prediction a folder of its own")
-    names = {entry.name for entry in out.iterdir()}
-    if names and not names <= _files_of_record(out / RECORD):
-        raise PredictionError(
-            f"{out} is not empty and holds other things than an earlier prediction: choose another folder"
-        )
+    """Refuse an output folder that contains anything but an earlier prediction, as it was written."""
+    refuse_other_files(out, _files_of_prediction, "prediction", PredictionError)
 
 
-def _files_of_record(record: Path) -> set[str]:
-    """Names of the files of an earlier prediction; empty if `record` is not its ``prediction.json``."""
+def _files_of_prediction(folder: Path) -> dict[str, str | None]:
+    """Files of an earlier prediction, with SHA-256 where it is known; empty if there is no prediction."""
     try:
-        content = json.loads(record.read_text(encoding="utf-8"))
-        if content["schema_version"] != PREDICTION_SCHEMA:
-            return set()
-        return {RECORD, *(str(name) for image in content["images"] for name in image["files"])}
-    except (OSError, ValueError, TypeError, KeyError):
-        return set()
+        content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        if content["schema_version"] not in _KNOWN_SCHEMAS:
+            return {}
+        known: dict[str, str | None] = {
+            str(name): None for image in content["images"] for name in image["files"]
+        }
+        known |= {str(name): str(sha256) for name, sha256 in content.get("files", {}).items()}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
+    return {**known, RECORD: None}

@@ -15,9 +15,10 @@ from itof import DepthMap, amplitude, join_components
 from model.device import choose_device, plain_memory_errors
 from model.network.readout import Readout
 from model.network.unet import UNet
-from model.run_folder import RunConfig, RunError, load_weights, read_config
+from model.run_folder.run_config import RunConfig, RunError, read_config
+from model.run_folder.weights import load_weights
 from model.settings import DeviceName
-from scenegen import NightError
+from scenegen import NightError, PathLike
 
 BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB
 
@@ -44,7 +45,7 @@ class Predictor:
     def predict(
         self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
     ) -> DepthMap:
-        """Depth maps of measurements, of the hidden object as if the relay wall were a mirror.
+        """Depth maps of measurements: the mirror image of the hidden object in the relay wall.
 
         Parameters
         ----------
@@ -162,7 +163,7 @@ def read_output(
     return readout.radial_depth_m(output).cpu().numpy(), readout.mask(output).cpu().numpy() > 0, phasor
 
 
-def load(run: str | Path, device: DeviceName = "auto") -> Predictor:
+def load(run: PathLike, device: DeviceName = "auto") -> Predictor:
     """Load a trained network from its run folder, with the weights of its best epoch.
 
     Raises
@@ -175,5 +176,5 @@ def load(run: str | Path, device: DeviceName = "auto") -> Predictor:
     chosen = choose_device(device)
     with plain_memory_errors():
         network = config.network()
-        load_weights(folder, network)
+        load_weights(folder, network, config)
         return Predictor(config, network.to(chosen), chosen)

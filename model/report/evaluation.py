@@ -20,13 +20,13 @@ from model.report.refusals import (
 from model.report.report_files import write_files
 from model.report.results import Report
 from model.settings import DeviceName
-from scenegen import Dataset, Split, whole_folder
+from scenegen import Dataset, PathLike, Split, whole_folder
 
 
 def evaluate(
-    run: Path,
+    run: PathLike,
     dataset: Dataset,
-    out: Path,
+    out: PathLike,
     *,
     split: Split = "test",
     device: DeviceName = "auto",
@@ -45,7 +45,8 @@ def evaluate(
     ``pointclouds/``    ``<id>_gt.ply`` and ``<id>_pred.ply``; missing if no pixel shows an object
     ==================  ======================================================================================
 
-    The folder is written whole or not at all and replaces an earlier report.
+    The folder is written whole or not at all and replaces an earlier report. It is not replaced if it has got
+    other files since, or if one of its files was changed.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def evaluate(
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     DatasetError : the description of a scene is missing or damaged.
     """
-    out = out.resolve()  # `whole_folder` needs a name; "." has none
+    run, out = Path(run), Path(out).resolve()  # `whole_folder` needs a name; "." has none
     refuse_other_contents(out)
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):
         raise EvaluationError(f"a mask threshold is an amplitude above 0, got {mask_threshold:g}")
@@ -75,8 +76,9 @@ def evaluate(
         clouds.mkdir()
         report = judge_split(bench, split, clouds)
         shown = shown_scenes(bench, report)
-        write_files(folder, report, _origin(bench, run))
         write_page(folder, report, shown, run, predictor.config, _origin(bench, run))
+        write_files(folder, report, _origin(bench, run))
+        refuse_other_contents(out)  # which may have got other files meanwhile
     return report
 
 

@@ -24,7 +24,8 @@ from model.report.report_files import GROUP_HEAD, SUMMARY_HEAD, group_texts, sum
 from model.report.report_scenes import pictures, point_clouds
 from model.report.results import PAPER, Report
 from model.report.showcase import ShownScene
-from model.run_folder import RunConfig, read_history
+from model.run_folder.history import read_history
+from model.run_folder.run_config import RunConfig
 from scenegen import data_folder, write_text
 
 TEMPLATE = "page.html.jinja"

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from model.data.shards import Shards
-from model.report.report_files import is_report
-from model.run_folder import RunConfig
+from model.report.report_files import files_of_report
+from model.run_folder.run_config import RunConfig
 from scenegen import Dataset, NightError, Split
+from scenegen.files.own_files import refuse_other_files
 
 
 class EvaluationError(NightError):
@@ -15,15 +16,8 @@ class EvaluationError(NightError):
 
 
 def refuse_other_contents(out: Path) -> None:
-    """Refuse an output folder that contains anything but an earlier report."""
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise EvaluationError(f"{out} is a file: give the report a folder of its own")
-    if any(out.iterdir()) and not is_report(out):
-        raise EvaluationError(
-            f"{out} is not empty and holds other things than an earlier report: choose another folder"
-        )
+    """Refuse an output folder that contains anything but an earlier report, as it was written."""
+    refuse_other_files(out, files_of_report, "report", EvaluationError)
 
 
 def refuse_missing_split(dataset: Dataset, split: Split) -> None:

@@ -14,28 +14,49 @@ from model.report.calibration import Calibration
 from model.report.groups import Group
 from model.report.results import PAPER, Report, scene_numbers
 from scenegen import whole_file, write_text
+from scenegen.files.own_files import hashes_of
 
 REPORT_SCHEMA = 1
-REPORT_ENTRIES = frozenset(
-    {"index.html", "metrics.json", "metrics.csv", "table.txt", "summary.md", "figures", "pointclouds"}
+METRICS_FILE = "metrics.json"
+_OTHER_FILES = ("index.html", "metrics.csv", "table.txt", "summary.md")
+# The figures of version 0.1, whose metrics.json has no list of files.
+_FIGURES = (
+    *("best", "median", "worst", "accuracy_histogram", "mae_histogram", "miou_histogram", "calibration_miou"),
+    *("calibration_mae", "training_loss", "training_mae", "training_miou"),
 )
 SUMMARY_HEAD = ("measure", "", "average", "std", "min", "max")
 GROUP_HEAD = ("scenes", "MAE, cm", "object MAE, cm", "mIoU", "no object: MAE, cm")
 IN_SUMMARY = ("object_class", "roughness")  # the group tables that documents want
 
 
-def is_report(folder: Path) -> bool:
-    """Whether a folder holds an earlier report, and nothing else."""
+def files_of_report(folder: Path) -> dict[str, str | None]:
+    """Files of an earlier report by path, with SHA-256 where it is known; empty if there is no report.
+
+    A path that ends in a slash is that of a folder, which may be empty.
+    """
     try:
-        content = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    ours = isinstance(content, dict) and content.get("schema_version") == REPORT_SCHEMA
-    return ours and {entry.name for entry in folder.iterdir()} <= REPORT_ENTRIES
+        content = json.loads((folder / METRICS_FILE).read_text(encoding="utf-8"))
+        if content["schema_version"] != REPORT_SCHEMA:
+            return {}
+        known: dict[str, str | None]
+        if "files" in content:
+            known = {str(name): str(sha256) for name, sha256 in content["files"].items()}
+        else:
+            clouds = [
+                f"{scene['scene']}_{view}.ply" for scene in content["scenes"] for view in ("gt", "pred")
+            ]
+            figures = [f"figures/{name}.png" for name in _FIGURES]
+            known = dict.fromkeys([*_OTHER_FILES, *figures, *(f"pointclouds/{name}" for name in clouds)])
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
+    return {**known, METRICS_FILE: None, "pointclouds/": None}
 
 
 def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
-    """Write ``metrics.json``, ``metrics.csv``, ``table.txt`` and ``summary.md``.
+    """Write ``metrics.csv``, ``table.txt`` and ``summary.md``, and at last ``metrics.json``.
+
+    ``metrics.json`` lists all files in the folder `out` with their hashes, by which the next evaluation knows
+    that the folder holds nothing else.
 
     Parameters
     ----------
@@ -57,13 +78,14 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         "calibration": _calibration(report.calibration),
         "scenes": scenes,
     }
-    write_text(out / "metrics.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
     write_text(out / "table.txt", report.table + "\n")
     write_text(out / "summary.md", summary_markdown(report))
     with whole_file(out / "metrics.csv") as partial, partial.open("w", newline="") as stream:
         table = csv.DictWriter(stream, fieldnames=list(scenes[0]))
         table.writeheader()
         table.writerows(scenes)
+    content["files"] = hashes_of(out)
+    write_text(out / METRICS_FILE, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def summary_markdown(report: Report) -> str:

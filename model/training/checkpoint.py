@@ -1,62 +1,97 @@
-"""``checkpoint.pt`` of a run folder: the state from which a training resumes, also within an epoch."""
+"""``checkpoint.pt`` of a run folder: the state from which a training resumes, also within an epoch.
+
+It is a file of `torch.save`, which is a ZIP archive. The archive's comment is a `label_text`: the id of the
+run and the file's own checksum.
+"""
 
 from __future__ import annotations
 
-import pickle
+import io
 import warnings
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
 
-from model.run_folder import RUN_SCHEMA, RunError
+from model.run_folder.checksums import label_text, labelled, read_at_most
+from model.run_folder.run_config import RUN_SCHEMA, RunConfig, RunError
+from model.run_folder.weights import refuse_other_label
 from scenegen import whole_file
 
-CHECKPOINT_FILE = "checkpoint.pt"
-KEYS = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
+CHECKPOINT_FILE: Final = "checkpoint.pt"
+KEYS: Final = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})
+_AGAIN: Final = "the run cannot be resumed; use its best weights as they are, or train again from the start"
+_COMMENT_LENGTH: Final = 2  # bytes at the end of an archive without a comment
+_COPIES: Final = 6  # of the weights: network, average, best, two moments of Adam; and one to spare
+_MOST_OTHER: Final = 2**28  # bytes
 
 
-def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
+def save_checkpoint(folder: Path, state: Mapping[str, Any], run_id: str) -> None:
     """Write ``checkpoint.pt``; `state` has the keys KEYS and contains tensors, numbers and text only.
 
     Raises
     ------
-    RunError : the file cannot be written.
+    OSError : the file cannot be written.
     """
+    stream = io.BytesIO()  # where PyTorch cannot fail: for a full disk it has no exception of its own
+    torch.save({"schema_version": RUN_SCHEMA, **state}, stream)
+    comment = label_text(run_id).encode()
+    archive = stream.getvalue()[:-_COMMENT_LENGTH]
+    content = labelled(archive + len(comment).to_bytes(_COMMENT_LENGTH, "little") + comment)
     with whole_file(folder / CHECKPOINT_FILE) as partial:
-        try:
-            torch.save({"schema_version": RUN_SCHEMA, **state}, partial)
-        except RuntimeError as error:  # PyTorch has no other for a full disk
-            reason = str(error).splitlines()[0]
-            raise RunError(
-                f"{folder / CHECKPOINT_FILE} cannot be written ({reason}): is the disk full?"
-            ) from None
+        partial.write_bytes(content)
 
 
-def load_checkpoint(folder: Path) -> dict[str, Any] | None:
+def load_checkpoint(folder: Path, config: RunConfig, weights_bytes: int) -> dict[str, Any] | None:
     """Read ``checkpoint.pt`` into memory; None if it does not exist.
 
-    The file is read with ``weights_only=True``, so nothing in it is executed.
+    The checksum is compared first. PyTorch reads the file with ``weights_only=True``, so nothing in it is
+    executed. The types of the parts are not checked here (`TrainingState.restore`).
+
+    Parameters
+    ----------
+    config : contents of the run's ``run.json``.
+    weights_bytes : size of the network's weights; a checkpoint has several copies of them.
 
     Raises
     ------
-    RunError : the file is damaged, or it is not a checkpoint of this schema version.
+    RunError : the file is damaged, belongs to another run, or is no checkpoint of this schema version.
     """
     file = folder / CHECKPOINT_FILE
     if not file.is_file():
         return None
     try:
-        with warnings.catch_warnings():  # PyTorch warns of pickles before it refuses them
-            warnings.simplefilter("ignore", UserWarning)
-            state = torch.load(file, map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
-    except (RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError):
-        raise RunError(f"{file} is damaged or no checkpoint: train again from the start") from None
-    if not isinstance(state, dict) or state.get("schema_version") != RUN_SCHEMA:
-        raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: train again from the start")
+        content = read_at_most(file, _COPIES * weights_bytes + _MOST_OTHER)
+    except (OSError, ValueError) as error:
+        raise RunError(f"{file} cannot be read ({error}): {_AGAIN}") from None
+    refuse_other_label(content, file, config, _AGAIN)
+    state = _unpacked(content, file)
+    schema = state.get("schema_version") if isinstance(state, dict) else None
+    if not isinstance(schema, int) or schema not in (config.schema_version, RUN_SCHEMA):
+        raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: {_AGAIN}")
     missing = KEYS - state.keys()
     if missing:
-        raise RunError(f"{file} lacks {' and '.join(sorted(missing))}: train again from the start")
-    return state
+        raise RunError(f"{file} lacks {' and '.join(sorted(missing))}: {_AGAIN}")
+    return {key: state[key] for key in KEYS}
+
+
+def _unpacked(content: bytes, file: Path) -> Any:
+    """What `torch.save` packed; `RunError` if it is anything else."""
+    try:
+        _refuse_compressed(content)
+        with warnings.catch_warnings():  # PyTorch warns of pickles before it refuses them
+            warnings.simplefilter("ignore")
+            return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except Exception:  # a foreign archive or pickle raises exceptions of any kind
+        raise RunError(f"{file} is damaged or no checkpoint: {_AGAIN}") from None
+
+
+def _refuse_compressed(content: bytes) -> None:
+    """`ValueError` for an archive that is larger unpacked than packed; those of PyTorch are not."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        files = archive.infolist()
+    are_stored = all(file.compress_type == zipfile.ZIP_STORED for file in files)
+    if not are_stored or sum(file.file_size for file in files) > len(content):
+        raise ValueError("a compressed archive")

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from model.data.augmentation import Draws
 from model.network.metrics import mask_iou
-from model.run_folder import EpochRecord
+from model.run_folder.history import EpochRecord
 from model.training.interruption import Interruption
 from model.training.loss_watch import LossError, LossWatch
 from model.training.optimisation import learning_rate
@@ -64,11 +64,11 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
 
     Raises
     ------
-    TrainingError : the loss is not finite.
+    TrainingError : the loss or an output of the network is not finite.
     """
     network = state.optimisation.judged.eval()
     feed = state.feeds["validation"]
-    sums = torch.zeros(3, dtype=torch.float64, device=state.processes.device)
+    sums = torch.zeros(4, dtype=torch.float64, device=state.processes.device)
     for block in feed.in_order(state.settings.batch_size):
         part = block.take([block.rows[place] for place in state.processes.share(range(len(block)))])
         batch = state.maker.batch(part)
@@ -77,9 +77,11 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
         depth_error_m = (state.config.readout.radial_depth_m(output) - batch.radial_depth_m).abs().mean()
         pred, truth = state.config.readout.mask(output) > 0, batch.mask > 0
         miou = torch.stack([mask_iou(pred, truth), mask_iou(~pred, ~truth)]).mean()
-        sums += state.processes.own(len(block)) * torch.stack([loss.double(), depth_error_m.double(), miou])
+        bad = (~output.isfinite()).sum()
+        each = torch.stack([loss.double(), depth_error_m.double(), miou.double(), bad.double()])
+        sums += state.processes.own(len(block)) * each
         between_batches()
-    loss, depth_mae_m, miou = (state.processes.total(sums) / len(feed.rows)).tolist()
+    loss, depth_mae_m, miou, bad_outputs = (state.processes.total(sums) / len(feed.rows)).tolist()
     record = EpochRecord(
         epoch=len(state.history) + 1,
         learning_rate=learning_rate(
@@ -90,7 +92,7 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
         validation_mae_cm=100 * depth_mae_m,
         validation_miou=miou,
     )
-    _refuse_bad_validation(record)
+    _refuse_bad_validation(record, bad_outputs > 0)
     return record
 
 
@@ -129,11 +131,12 @@ def _watch(watch: LossWatch, loss: Tensor | None = None, rows: Sequence[int] = (
         ) from None
 
 
-def _refuse_bad_validation(record: EpochRecord) -> None:
+def _refuse_bad_validation(record: EpochRecord, bad_outputs: bool) -> None:
     """`TrainingError` for a validation loss that is not finite: no later loss would compare as better."""
-    if not math.isfinite(record.validation_loss):
+    if bad_outputs or not math.isfinite(record.validation_loss):
+        value = "nan" if bad_outputs else record.validation_loss
         raise TrainingError(
-            f"the validation loss became {record.validation_loss} in epoch {record.epoch}: try a smaller "
+            f"the validation loss became {value} in epoch {record.epoch}: try a smaller "
             "learning rate or clip_norm; the run keeps its last checkpoint"
         )
 

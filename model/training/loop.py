@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import logging
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -14,31 +15,34 @@ from model.data.channel_scaling import fit_input_spec
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
-from model.run_folder import (
-    EpochRecord,
+from model.run_folder.history import EpochRecord
+from model.run_folder.run_config import (
+    CONFIG_FILE,
+    RUN_SCHEMA,
     RunConfig,
     RunError,
     changed_setting,
     read_config,
-    save_weights,
+    run_id_of,
     write_config,
-    write_history,
 )
 from model.settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from model.training.epoch import save_if_due, train_epoch, validate
 from model.training.interruption import Interruption
+from model.training.lock import only_training
 from model.training.log import TrainingLog
-from model.training.processes import joined_processes
+from model.training.processes import Processes, joined_processes
 from model.training.refusals import (
     TrainingError,
     naming_compiler,
+    naming_disk,
     naming_memory,
     refuse_empty_splits,
     refuse_start,
 )
 from model.training.state import TrainingState
-from scenegen import Dataset
+from scenegen import Dataset, PathLike, remove_leftovers
 from scenegen.progress import showing_progress
 
 _log = logging.getLogger(__name__)
@@ -53,7 +57,7 @@ class TrainingResult:
     best_validation_loss: float
     ended_by: Literal["max_epochs", "patience"]
 
-    def sentence(self, out: Path) -> str:
+    def sentence(self, out: PathLike) -> str:
         """The outcome as text; `out` is the run folder."""
         return (
             f"{self.epochs} epochs, ended by {self.ended_by}; best validation loss "
@@ -63,7 +67,7 @@ class TrainingResult:
 
 def train(
     dataset: Dataset,
-    out: Path,
+    out: PathLike,
     settings: TrainSettings,
     *,
     resume: bool = False,
@@ -95,31 +99,52 @@ def train(
     ShardError, ImageFileError : renders are missing or unusable.
     """
     with joined_processes(settings.device) as processes:
-        refuse_start(dataset, out, resume)
-        before = read_config(out) if resume else None  # refuses a wrong folder before shards are built
-        with processes.first_one_first():
-            shards = open_shards(dataset, progress=settings.progress and processes.is_first)
-        refuse_empty_splits(shards, dataset)
-        config = _configure(dataset, shards, settings, before)
-        change = changed_setting(before, config) if before else None
-        if change:
-            raise RunError(
-                f"{out} cannot be resumed: {change}; use the run's own settings or start a new run"
-            )
-        with naming_memory(config), naming_compiler():
-            state = TrainingState(config, shards, processes, memory_bytes)
-            checkpoint = load_checkpoint(out) if resume else None
-            if checkpoint:
-                state.restore(checkpoint, out / CHECKPOINT_FILE)
-            if processes.is_first:
+        out = Path(out)
+        check = functools.partial(refuse_start, dataset, out, resume)
+        check()  # before the lock, which is a file in `out`
+        with only_training(out, processes, check):
+            return _train(dataset, out, settings, processes, resume, memory_bytes)
+
+
+def _train(
+    dataset: Dataset,
+    out: Path,
+    settings: TrainSettings,
+    processes: Processes,
+    resume: bool,
+    memory_bytes: int | None,
+) -> TrainingResult:
+    """`train` in one of its processes, under the lock."""
+    before = read_config(out) if resume else None
+    if processes.is_first:
+        remove_leftovers(out)
+    with processes.first_one_first():
+        shards = open_shards(dataset, progress=settings.progress and processes.is_first)
+    refuse_empty_splits(shards, dataset)
+    config = _configure(dataset, shards, settings, before)
+    change = changed_setting(before, config) if before else None
+    if change:
+        raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
+    with naming_memory(config), naming_compiler():
+        state = TrainingState(config, shards, processes, memory_bytes)
+        checkpoint = load_checkpoint(out, before, state.weights_bytes) if before else None
+        if checkpoint:
+            state.restore(checkpoint, out / CHECKPOINT_FILE)
+        if checkpoint and before and before.schema_version < RUN_SCHEMA:
+            state.save(out)  # before run.json: beside one of schema 2, files of both versions are accepted
+        if processes.is_first:
+            if state.history:
+                # A killed run may have left the files of a later epoch than that of its checkpoint.
+                state.save_results(out)
+            with naming_disk(out / CONFIG_FILE, "start again"):
                 write_config(out, config)
-            return _run(state, out)
+        return _run(state, out)
 
 
 def _configure(
     dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None
 ) -> RunConfig:
-    """Contents of ``run.json``; a resumed run keeps the constants of its channels, to the bit."""
+    """Contents of ``run.json``; a resumed run keeps its id and the constants of its channels, to the bit."""
     manifest = shards.manifest
     try:
         inputs = (
@@ -129,7 +154,7 @@ def _configure(
         )
     except ChannelError as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
-    return RunConfig(
+    config = RunConfig(
         settings=settings,
         inputs=inputs,
         output_frequency_hz=manifest.frequencies_hz[0],
@@ -140,26 +165,22 @@ def _configure(
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
     )
+    return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))
 
 
 def _run(state: TrainingState, out: Path) -> TrainingResult:
     """Train until the last epoch or the end of patience, with a checkpoint from time to time."""
     max_epochs, scenes = state.settings.max_epochs, len(state.feeds["train"].rows)
-    done = len(state.history)
+    done, is_first = len(state.history), state.processes.is_first
     if done >= max_epochs or state.out_of_patience():
         _log.info("%s is finished already, after %d epochs: nothing to do", out, done)
         return _result(state)
-    if state.history and state.processes.is_first:
-        # A killed run may have left the files of a later epoch than that of its checkpoint.
-        save_weights(out, state.best_weights)
-        write_history(out, state.history)
-    is_first = state.processes.is_first
     before = min(done * scenes + state.batches_done * state.settings.batch_size, max_epochs * scenes)
     shown = showing_progress(
         max_epochs * scenes, "scene", initial=before, show=state.settings.progress and is_first
     )
-    log_folder = out if is_first else None
-    with Interruption() as interruption, shown as bar, TrainingLog(log_folder, done) as log:
+    log = TrainingLog(out if is_first else None, done)
+    with Interruption() as interruption, shown as bar:
         while len(state.history) < max_epochs and not state.out_of_patience():
             bar.set_description(f"epoch {len(state.history) + 1}", refresh=False)
             train_loss = train_epoch(state, out, bar, interruption)
@@ -167,9 +188,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
             bar.set_postfix(train=f"{record.train_loss:.4f}", validation=f"{record.validation_loss:.4f}")
             state.finish_epoch(record)
             if is_first:
-                if state.best is record:
-                    save_weights(out, state.best_weights)  # first: the history refers to them
-                write_history(out, state.history)
+                state.save_results(out, weights=state.best is record)
                 _report(state, log, record)
             save_if_due(state, out, interruption)
         state.save(out)
@@ -188,6 +207,7 @@ def _report(state: TrainingState, log: TrainingLog, record: EpochRecord) -> None
             batch = state.maker.batch(rows)
             output = state.step.output(batch, state.optimisation.judged)
         log.pictures(batch, state.config.readout, output, record.epoch)
+    log.write()
 
 
 def _result(state: TrainingState) -> TrainingResult:

@@ -13,6 +13,14 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from model.device import number_type
 from model.network.unet import UNet
 from model.settings import TrainSettings
+from model.training.checkpoint_contents import (
+    ContentsError,
+    checked_adam,
+    checked_keys,
+    checked_scaler,
+    checked_tensors,
+    checked_whole,
+)
 
 
 def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:
@@ -90,16 +98,20 @@ class Optimisation:
             "steps": self.steps,
         }
 
-    def restore(self, state: dict[str, Any]) -> bool:
-        """Load a state; False, or an exception of PyTorch, if it belongs to another network."""
-        names = set(self.adam.param_groups[0])
-        self.adam.load_state_dict(state["adam"])
-        self.scaler.load_state_dict(state["scaler"])
-        if self.average is not None:
-            self.average.load_state_dict(state["average"])
-        self.steps = int(state["steps"])
-        return names <= set(self.adam.param_groups[0]) and all(
-            self.adam.state[parameter][moment].shape == parameter.shape
-            for parameter in self.network.parameters()
-            for moment in ("exp_avg", "exp_avg_sq")
-        )
+    def restore(self, state: Any, steps: int) -> None:
+        """Load a state after `steps` steps; `ContentsError` if it is not that of this network."""
+        found = checked_keys(state, self.state(), "optimisation")
+        if checked_whole(found["steps"], 0, steps, "optimisation.steps") != steps:
+            raise ContentsError(f"optimisation.steps must be {steps}, as history and position say")
+        parameters = list(self.network.parameters())
+        self.adam.load_state_dict(checked_adam(found["adam"], self.adam.state_dict(), parameters, steps))
+        self.scaler.load_state_dict(checked_scaler(found["scaler"], self.scaler.state_dict()))
+        if self.average is None:
+            if found["average"] is not None:
+                raise ContentsError("optimisation.average must be absent")
+        else:
+            average = checked_tensors(found["average"], self.average.state_dict(), "average")
+            if int(average["n_averaged"]) != steps:
+                raise ContentsError(f"average: n_averaged must be {steps}")
+            self.average.load_state_dict(average)
+        self.steps = steps

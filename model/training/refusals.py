@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 
 from model.data.shards import Shards
 from model.device import plain_memory_errors
-from model.run_folder import CONFIG_FILE, RunConfig, RunError
+from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
+from model.training.lock import LOCK_FILE
 from scenegen import Dataset, NightError, is_partial
 
 
@@ -17,14 +19,16 @@ class TrainingError(NightError):
 
 
 def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
-    """Refuse an `out` that is in use and a dataset that lacks a split, before any slow work.
+    """Refuse an unsuitable `out` and a dataset that lacks a split, before any slow work.
 
     Raises
     ------
-    RunError : `out` contains other files, or a run and `resume` is False.
+    RunError : `out` contains other files, or a run and `resume` is False, or no run and `resume` is True.
     TrainingError : there are no training or no validation scenes.
     """
-    if not resume and out.exists() and not _is_free(out):
+    if resume:
+        read_config(out)
+    elif out.exists() and not _is_free(out):
         if not out.is_dir():
             raise RunError(f"{out} is a file: choose another folder for the run")
         if (out / CONFIG_FILE).is_file():
@@ -48,8 +52,8 @@ def refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:
 
 
 def _is_free(out: Path) -> bool:
-    """Whether `out` is a folder without files, except temporary files of a killed process."""
-    return out.is_dir() and all(is_partial(entry.name) for entry in out.iterdir())
+    """Whether `out` is a folder without files, except a lock and temporary files of a killed process."""
+    return out.is_dir() and all(entry.name == LOCK_FILE or is_partial(entry.name) for entry in out.iterdir())
 
 
 @contextmanager
@@ -78,3 +82,22 @@ def naming_memory(config: RunConfig) -> Iterator[None]:
             f"out of memory with batch size {config.settings.batch_size} and width {config.settings.width} "
             f"at {config.image_width}x{config.image_height} pixels: make the batch or the width smaller"
         ) from None
+
+
+@contextmanager
+def naming_disk(
+    path: Path, then: str = "go on with night-train --resume; the run keeps its last checkpoint"
+) -> Iterator[None]:
+    """Turn the exceptions of a full or read-only disk into a `RunError`.
+
+    Parameters
+    ----------
+    path : the file that is written.
+    then : what to do when the disk has room again.
+    """
+    try:
+        yield
+    except OSError as error:
+        cure = "free some space" if error.errno in (ENOSPC, EFBIG, EDQUOT) else "make it writable"
+        reason = error.strerror or error
+        raise RunError(f"{path} cannot be written ({reason}): {cure} and {then}") from None

@@ -15,10 +15,18 @@ from torch import Tensor
 from model.data.batches import BatchMaker
 from model.data.feed import Feed, window_rows
 from model.data.shards import Shards
-from model.run_folder import EpochRecord, RunConfig, RunError, fill, save_weights, write_history
-from model.training.checkpoint import save_checkpoint
+from model.run_folder.history import HISTORY_FILE, EpochRecord, write_history
+from model.run_folder.run_config import RunConfig, RunError, run_id_of
+from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
+from model.training.checkpoint import CHECKPOINT_FILE, save_checkpoint
+from model.training.checkpoint_contents import (
+    checked_history,
+    checked_position,
+    checked_tensors,
+    checked_whole,
+)
 from model.training.processes import Processes, processes_of_this_machine
-from model.training.refusals import TrainingError
+from model.training.refusals import TrainingError, naming_disk
 from model.training.step import TrainingStep
 from scenegen import Split
 
@@ -30,6 +38,7 @@ class TrainingState:
 
     Attributes
     ----------
+    run_id : id of the run, which weights and checkpoint repeat.
     step, optimisation : network and optimiser.
     maker, feeds : make the batches of the training and validation scenes.
     history : record of each finished epoch.
@@ -44,6 +53,7 @@ class TrainingState:
     ) -> None:
         settings, device = config.settings, processes.device
         self.config, self.settings, self.shards, self.processes = config, settings, shards, processes
+        self.run_id = config.run_id or run_id_of(config)
         frequencies_hz = shards.manifest.frequencies_hz
         self.maker = BatchMaker.for_shards(config.inputs, frequencies_hz, shards.reference, device)
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
@@ -66,6 +76,11 @@ class TrainingState:
     def best(self) -> EpochRecord:
         """The first epoch with the smallest validation loss; there must be a finished epoch."""
         return min(self.history, key=lambda record: record.validation_loss)
+
+    @property
+    def weights_bytes(self) -> int:
+        """Size of the network's weights."""
+        return sum(weight.nbytes for weight in self.step.network.state_dict().values())
 
     def out_of_patience(self) -> bool:
         """Whether the validation loss did not improve for `patience` epochs."""
@@ -98,9 +113,7 @@ class TrainingState:
                 f"the weights stopped being numbers in epoch {len(self.history) + 1}: try a smaller learning "
                 "rate or clip_norm; the run keeps its last checkpoint"
             )
-        if self.best_weights:
-            save_weights(out, self.best_weights)
-        write_history(out, self.history)
+        self.save_results(out)
         state = {
             "network": self.step.network.state_dict(),
             "optimisation": self.optimisation.state(),
@@ -109,27 +122,51 @@ class TrainingState:
             "history": [asdict(record) for record in self.history],
             "window_rows": self.feeds["train"].window_rows,
         }
-        save_checkpoint(out, state)
+        with naming_disk(out / CHECKPOINT_FILE):
+            save_checkpoint(out, state, self.run_id)
         self.saved_at = time.monotonic()
 
+    def save_results(self, out: Path, *, weights: bool = True) -> None:
+        """Write the best weights, unless they are the same as before, and the history that refers to them."""
+        if self.best_weights and weights:
+            with naming_disk(out / WEIGHTS_FILE):
+                save_weights(out, self.best_weights, self.run_id)
+        with naming_disk(out / HISTORY_FILE):
+            write_history(out, self.history)
+
     def restore(self, state: Mapping[str, Any], file: Path) -> None:
-        """Load a checkpoint; `RunError` if it belongs to another training."""
+        """Load a checkpoint; `RunError` if it belongs to another training or contains impossible values."""
         try:
-            fill(self.step.network, state["network"], file)
-            fits = self.optimisation.restore(state["optimisation"])
-            self.history = [EpochRecord(**record) for record in state["history"]]
-            self.best_weights = {name: tensor.cpu() for name, tensor in state["best"].items()}
-            fits = fits and bool(self.best_weights) == bool(self.history)
-            self.batches_done = int(state["position"]["batches"])
-            if self.processes.is_first:  # the total is a sum over processes
-                self.loss_total += float(state["position"]["loss_total"])
-            self.keep_windows(int(state["window_rows"]))
+            self._take_over(state, file)
         except RunError:
             raise
-        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError):
-            fits = False
-        if not fits:
-            raise RunError(f"{file} does not hold the state of this training: train again from the start")
+        except (
+            AttributeError,
+            IndexError,
+            KeyError,
+            OverflowError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+        ) as error:
+            reason = " ".join(str(error).split())
+            raise RunError(
+                f"{file} does not hold the state of this training ({reason}): train again from the start"
+            ) from None
+
+    def _take_over(self, state: Mapping[str, Any], file: Path) -> None:
+        feed, network = self.feeds["train"], self.step.network
+        batches_an_epoch = self.optimisation.steps_per_epoch
+        fill(network, state["network"], file)
+        history = checked_history(state["history"])
+        batches, loss_total = checked_position(state["position"], batches_an_epoch, len(feed.rows))
+        self.optimisation.restore(state["optimisation"], len(history) * batches_an_epoch + batches)
+        best = checked_tensors(state["best"], network.state_dict() if history else {}, "best")
+        window_rows = checked_whole(state["window_rows"], 0, len(feed.rows), "window_rows")
+        self.history, self.best_weights, self.batches_done = history, best, batches
+        if self.processes.is_first:  # the total is a sum over processes
+            self.loss_total += loss_total
+        self.keep_windows(window_rows)
 
     def keep_windows(self, window_rows: int) -> None:
         """Use the window size with which the run began; another size would change the order of the scenes."""

@@ -12,7 +12,7 @@ from model.data.batches import Batch, BatchMaker
 from model.data.rows import RowBlock
 from model.device import number_type
 from model.network.loss import NightLoss
-from model.run_folder import RunConfig
+from model.run_folder.run_config import RunConfig
 from model.training.optimisation import Optimisation
 from model.training.processes import Processes
 

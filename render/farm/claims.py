@@ -17,13 +17,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from errno import EACCES, EAGAIN, ENOLCK, ENOTSUP
 from pathlib import Path
 
-from scenegen import NightError
+from scenegen import NightError, inside
+from scenegen.files.locks import is_same_file, lock, open_lock_file
 
 _CLAIMS, _RUN, _NOTE = ".claims", ".run", ".note"
-_NO_LOCKS = (ENOLCK, ENOTSUP)
 _MOST_RUNS, _MOST_BYTES = 16, 4096  # of a claim file: runs whose attempts it counts, and its size
 
 
@@ -55,15 +54,15 @@ class Claim:
 @contextmanager
 def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
     """Claim a scene while the block runs; yields None if another process has claimed it."""
-    path = renders / _CLAIMS / scene_id
+    path = inside(renders, _CLAIMS) / scene_id
     path.parent.mkdir(exist_ok=True)  # no parents: a deleted dataset must not come back
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = open_lock_file(path)
         try:
-            if not _lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):
+            if not lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):
                 yield None
                 return
-            if not _is_same_file(descriptor, path):
+            if not is_same_file(descriptor, path):
                 continue  # its last owner deleted it after we opened it and before we locked it
             yield Claim(descriptor, path)
             return
@@ -82,13 +81,13 @@ def attempts_of(renders: Path, scene_id: str, run_id: str) -> int:
 def running(renders: Path) -> list[str]:
     """Ids of the scenes that are being rendered now, by any process."""
     found = []
-    for path in sorted((renders / _CLAIMS).glob("*")):
+    for path in sorted(inside(renders, _CLAIMS).glob("*")):
         try:
-            descriptor = os.open(path, os.O_RDONLY)
+            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
         except FileNotFoundError:
             continue
         try:
-            if not _lock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB):
+            if not lock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB):
                 found.append(path.name)
         finally:
             os.close(descriptor)
@@ -102,14 +101,16 @@ def joined_run(renders: Path, settings: str) -> Iterator[None]:
     Raises
     ------
     OtherRunError : a running command renders the dataset with other settings.
+    LockFileError, OutsideError : something else is in the place of a lock.
     """
     renders.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(renders / _RUN, os.O_RDWR | os.O_CREAT, 0o644)
+    inside(renders, _CLAIMS)  # before any work
+    descriptor = open_lock_file(renders / _RUN)
     try:
-        if _lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):  # we are the only run: record our settings
+        if lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):  # we are the only run: record our settings
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, settings.encode(), 0)
-        _lock(descriptor, fcntl.LOCK_SH)
+        lock(descriptor, fcntl.LOCK_SH)
         others = os.pread(descriptor, 2**20, 0).decode()
         if others != settings:
             raise OtherRunError(
@@ -125,30 +126,12 @@ def joined_run(renders: Path, settings: str) -> Iterator[None]:
 def noting(renders: Path) -> Iterator[None]:
     """Wait for the lock on ``rendering.json`` and hold it while the block runs."""
     renders.mkdir(exist_ok=True)  # no parents: a deleted dataset must not come back
-    descriptor = os.open(renders / _NOTE, os.O_RDWR | os.O_CREAT, 0o644)
+    descriptor = open_lock_file(renders / _NOTE)
     try:
-        _lock(descriptor, fcntl.LOCK_EX)
+        lock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)
-
-
-def _lock(descriptor: int, how: int) -> bool:
-    try:
-        fcntl.flock(descriptor, how)
-    except OSError as error:
-        if error.errno in (EAGAIN, EACCES):
-            return False
-        if error.errno not in _NO_LOCKS:
-            raise
-    return True
-
-
-def _is_same_file(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 def _counts(text: bytes) -> dict[str, int]:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
-from render.settings import RenderError, RenderSettings
+from render.edited_scenes import is_edited, known_digest
+from render.settings import RenderSettings
 from scenegen import Dataset, FileHashes, RenderRecord, read_failure, read_record
 
 # done: all files are there, intact, and have this recipe. failed: rendering with this recipe failed. other:
@@ -17,26 +18,32 @@ _READERS = 8  # threads that read files at the same time; network disks answer s
 
 def known_recipe(dataset: Dataset, settings: RenderSettings, scene_id: str) -> str:
     """Recipe of a scene; empty if its folder is missing or unreadable, which rendering then reports."""
-    try:
-        return settings.recipe(dataset, scene_id)
-    except (OSError, RenderError):
-        return ""
+    digest = known_digest(dataset, scene_id)
+    return settings.recipe(dataset, digest) if digest else ""
 
 
 class Inventory:
     """States of the scenes of a dataset for some settings.
 
     Hashes of files are cached in ``renders/.hashes.json``, with size and time of change; `save` writes them.
+
+    Attributes
+    ----------
+    edited : scenes, among those whose state was asked for, whose files are not those of ``dataset.json``.
     """
 
     def __init__(self, dataset: Dataset, settings: RenderSettings) -> None:
         self.dataset = dataset
         self.settings = settings
+        self.edited: set[str] = set()
         self._hashes = FileHashes(dataset.renders)
 
     def state(self, scene_id: str) -> State:
         """State of one scene."""
-        recipe = known_recipe(self.dataset, self.settings, scene_id)
+        digest = known_digest(self.dataset, scene_id)
+        if is_edited(self.dataset, scene_id, digest):
+            self.edited.add(scene_id)
+        recipe = self.settings.recipe(self.dataset, digest) if digest else ""
         state = self._recorded_state(scene_id, recipe)
         if state != "done":
             failure = read_failure(self.dataset.render_folder(scene_id))

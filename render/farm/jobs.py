@@ -20,12 +20,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from render.backend import BackendError
 from render.farm.claims import claimed
 from render.farm.inventory import Inventory
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from scenegen import DatasetError, open_dataset, read_failure
+from scenegen import DatasetError, NightError, open_dataset, read_failure
 
 MAX_ATTEMPTS = 2
 Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]
@@ -101,7 +100,7 @@ def render_scene(job: Job) -> Outcome:
     with _one_at_a_time:
         try:
             renderer, inventory = _workshop(job)
-        except (BackendError, DatasetError, OSError) as error:
+        except (NightError, OSError) as error:
             return Outcome(job.scene_id, "stop", _on_host(error))
         try:
             outcome = _render(job, renderer, inventory)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from itof import TransientLayout
 from render.byte_size import size
@@ -58,6 +59,16 @@ class Plan:
             f"plan: {what}, product {self.settings.product}",
             f"disk: {space}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
         ]
+
+    def as_data(self) -> dict[str, Any]:
+        """The plan as plain data: the scenes to render, and bytes."""
+        return {
+            "scenes": self.scenes,
+            "image_bytes_per_scene": self.image_bytes,
+            "transient_bytes_per_scene": self.transient_bytes if self.settings.wants_transients else 0,
+            "needed_bytes": self.needed_bytes,
+            "free_bytes": self.free_bytes,
+        }
 
     def refusal(self) -> str | None:
         """A message if the plan does not fit the disk, with proposals that do; None if it fits."""

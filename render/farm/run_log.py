@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from errno import EEXIST
 from pathlib import Path
+from typing import TextIO
 
 from render.farm.jobs import Outcome
 
@@ -31,16 +34,27 @@ def log_outcome(outcome: Outcome, final: bool) -> None:
             log.info("%s: %s", outcome.scene_id, line)
 
 
+def logged(say: Callable[[str], object]) -> Callable[[str], None]:
+    """A function that says a sentence and logs it."""
+
+    def both(sentence: str) -> None:
+        say(sentence)
+        log.info(sentence)
+
+    return both
+
+
 @contextmanager
 def log_file(file: Path) -> Iterator[None]:
     """Append the log messages of `render` to a file while the block runs.
 
-    If the file cannot be written, the run goes on without it.
+    If the file cannot be written, or is a link or no plain file, the run goes on without it.
     """
     try:
-        handler: logging.Handler = logging.FileHandler(file, encoding="utf-8")
+        stream = _opened(file)
     except OSError:
-        handler = logging.NullHandler()
+        stream = None
+    handler = logging.StreamHandler(stream) if stream is not None else logging.NullHandler()
     handler.setFormatter(logging.Formatter(f"%(asctime)s {os.getpid()} %(message)s"))
     handler.handleError = lambda record: None  # type: ignore[method-assign]
     logger = logging.getLogger("render")
@@ -58,3 +72,16 @@ def log_file(file: Path) -> Iterator[None]:
         logger.setLevel(level)
         logger.propagate = propagate
         handler.close()
+        if stream is not None:
+            with suppress(OSError):  # the disk is full
+                stream.close()
+
+
+def _opened(file: Path) -> TextIO:
+    """The file, opened to append; follows no link and waits for no pipe."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    descriptor = os.open(file, flags, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise FileExistsError(EEXIST, os.strerror(EEXIST), str(file))
+    return os.fdopen(descriptor, "a", encoding="utf-8")

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+from render.farm.plan import Plan
+from render.settings import RenderSettings
+from scenegen import Dataset
 
 
 @dataclass(frozen=True)
@@ -16,16 +21,31 @@ class RunResult:
     present : number of scenes that were rendered before, or by another command during the run.
     failures : reason of failure by scene.
     skipped_failures : number of scenes that failed in an earlier run and were not tried again.
+    plan : of the scenes that were to be rendered; None if there were none.
     """
 
     rendered: int
     present: int
     failures: dict[str, str] = field(default_factory=dict)
     skipped_failures: int = 0
+    plan: Plan | None = None
 
     def sentences(self, renders: Path) -> list[str]:
         """The result as lines of text; `renders` is the folder of the renders."""
         return [f"{self.rendered} scenes rendered, {self.present} were there already; {renders}"]
+
+    def as_data(self, dataset: Dataset, settings: RenderSettings) -> dict[str, Any]:
+        """The result as plain data (docs/files.md, results as JSON)."""
+        return {
+            "renders": str(dataset.renders),
+            "rendered": self.rendered,
+            "present": self.present,
+            "failed": len(self.failures),
+            "skipped_failures": self.skipped_failures,
+            "failures": self.failures,
+            "settings": settings.as_data(dataset),
+            "plan": self.plan.as_data() if self.plan is not None else None,
+        }
 
     def complaints(self, renders: Path) -> list[str]:
         """Failures and what to do about them, as lines of text; an empty list without failures."""

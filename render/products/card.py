@@ -20,7 +20,7 @@ _MARK = re.compile(r"<!-- night-gen preview writes this file; licence: (?P<licen
 
 
 class CardError(NightError):
-    """A licence cannot be written into a card."""
+    """A licence cannot be written into a card, or a picture of the card would replace one of the user."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def _about(dataset: Dataset, found: Distributions) -> str:
         f"{len(dataset.ids())} synthetic look-behind-a-corner scenes, {rendered} of them rendered. An "
         "indirect time-of-flight camera looks at a wall. A small part of the light that returns to it has "
         "met an object hidden behind a corner. Each rendered scene has the measurement of the camera and, "
-        "as ground truth, the radial depth that it would see if the wall were a mirror. Made with NIGHT."
+        "as ground truth, the radial depth of the object's mirror image in the wall. Made with NIGHT."
     )
 
 

@@ -11,19 +11,34 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import DepthMap, Image, ImageFileError, TransientReader, phase_per_metre, pixel_types
+from itof import (
+    DepthMap,
+    Image,
+    ImageFileError,
+    TransientLayout,
+    TransientReader,
+    phase_per_metre,
+    pixel_types,
+    splat_residue,
+)
 from render.products.geometry import traced_depth_m
 from scenegen import (
     GROUND_TRUTH_FILE,
+    IMAGE_FILES,
     MEASUREMENT_FILE,
+    RECORD_FILE,
     TRANSIENT_FILE,
     Dataset,
+    OutsideError,
     RenderRecord,
-    sha256_of,
+    inside,
 )
+from scenegen.render_folder import difference
 
-# Phasors from bins minus exact ones, relative to the hidden part: twice the 1 % of docs/rendering.md.
-BINNED_TOLERANCE = 0.02
+# Phasors of bins may differ from exact ones by this share of the hidden part, because the two sum over
+# different nodes in the pixels, and bins over merged arrivals. It is twice the 1 % of docs/rendering.md.
+QUADRATURE_SHARE = 0.02
+_STEADY_HZ = 1.0  # nothing turns: the phasor is the energy
 # Eight roundings of float32, relative to the largest value. This is 0.02 % of a hidden part of 0.2 %.
 _FLOAT_ROUNDING = 8 * 2.0**-24
 _SAMPLE_RAYS = 64
@@ -31,15 +46,17 @@ _DEPTH_TOLERANCE_M = 1e-4  # float32 rays and meshes over a few metres have erro
 
 
 def changed_files(folder: Path, record: RenderRecord) -> Iterator[str]:
-    """Files that are missing or differ from the record."""
+    """Files that are missing or differ from the record, and images that the record does not name."""
+    for name in IMAGE_FILES:
+        if name not in record.files:
+            yield f"{name} is not in {RECORD_FILE}"
     for name, expected in record.files.items():
-        file = folder / name
-        if not file.is_file():
-            yield f"{name} is missing"
-        elif file.stat().st_size != expected.bytes:
-            yield f"{name} has {file.stat().st_size} bytes instead of {expected.bytes}"
-        elif sha256_of(file) != expected.sha256:
-            yield f"{name} is not what was written (its SHA-256 differs)"
+        try:
+            problem = difference(inside(folder, name), expected)
+        except OutsideError as error:
+            problem = f"is not inside the render: {error}"
+        if problem:
+            yield f"{name} {problem}"
 
 
 def wrong_storage(folder: Path, record: RenderRecord) -> Iterator[str]:
@@ -95,21 +112,60 @@ def wrong_truth(dataset: Dataset, scene_id: str, image: Image) -> Iterator[str]:
 
 
 def wrong_transient(file: Path, image: Image, shape: tuple[int, int]) -> Iterator[str]:
-    """A transient of another size, with NaN or infinity, or that does not fit the measurement `image`."""
+    """A transient of another size, with NaN or infinity, or that does not fit the measurement `image`.
+
+    Each frequency is judged by itself. With ‖·‖ over the image, its phasors may differ by
+
+        `QUADRATURE_SHARE` ‖hidden‖ + (`itof.splat_residue` + rounding) ‖all light‖,
+
+    or by half the reported error of a render with few lights, whose phasors and bins are interpolated apart.
+
+    Where bins are so wide that the residue exceeds the hidden part, only the bound of the bins is left.
+    """
+    exact, frequencies_hz = image.phasors()
     with TransientReader(file) as reader:
-        if (reader.layout.height, reader.layout.width) != shape:
-            yield f"{file.name} has {reader.layout.width}x{reader.layout.height} pixels"
+        axis, splat = reader.layout, reader.splat
+        if (axis.height, axis.width) != shape:
+            yield f"{file.name} has {axis.width}x{axis.height} pixels"
             return
         # reads every row and sums every bin, so a NaN anywhere is found
-        binned = reader.phasors(image.phasors()[1])
+        binned = reader.phasors((_STEADY_HZ, *frequencies_hz))
     if not np.isfinite(binned).all():
         yield f"{file.name} holds NaN or infinity"
     elif file.name == TRANSIENT_FILE:
-        exact = image.phasors()[0]
-        scale = np.linalg.norm(image.phasors("hidden")[0]) if _has(image, "hidden") else 0.0
-        allowed = max(BINNED_TOLERANCE * scale, _FLOAT_ROUNDING * np.linalg.norm(exact))
-        if np.linalg.norm(binned - exact) > allowed:
-            yield f"{file.name}: its phasors are not those of {MEASUREMENT_FILE}"
+        energy, difference = _norm(binned[..., 0]), _norm(binned[..., 1:] - exact)
+        allowed = _FLOAT_ROUNDING * _norm(exact)  # (F,) without parts, `exact` is the sum over these bins
+        if _has(image, "hidden"):
+            parts = splat_residue(frequencies_hz, axis.bin_width_m, splat) + _rounding(frequencies_hz, axis)
+            share = max(QUADRATURE_SHARE, _reported_error(image) / 2)
+            allowed = share * _norm(image.phasors("hidden")[0]) + parts * energy
+        off = difference > allowed
+        if off.any():
+            at = ", ".join(f"{f / 1e6:g}" for f in np.array(frequencies_hz)[off])
+            times = (difference[off] / np.maximum(allowed[off], np.finfo(float).tiny)).max()
+            yield (
+                f"{file.name}: its phasors at {at} MHz are not those of {MEASUREMENT_FILE} (they differ by "
+                f"{times:.3g} times what bins, quadrature and rounding explain)"
+            )
+
+
+def _norm(z: NDArray[np.complexfloating]) -> NDArray[np.float64]:
+    """Norm over the image, of each frequency if `z` has them."""
+    return np.asarray(np.sqrt((np.abs(z).astype(np.float64) ** 2).sum(axis=(0, 1))))
+
+
+def _rounding(frequencies_hz: tuple[float, ...], axis: TransientLayout) -> NDArray[np.float64]:
+    """(F,) error of phasors by float32, relative to the light: in sums, and in an OPL as long as the axis."""
+    end_m = abs(axis.start_opl_m) + axis.bin_count * axis.bin_width_m
+    return _FLOAT_ROUNDING + 2.0**-24 * phase_per_metre(frequencies_hz) * end_m
+
+
+def _reported_error(image: Image) -> float:
+    """The error of the hidden part that the file reports; 0 if it reports none."""
+    try:
+        return float(image.attributes.get("hidden_error", "0"))
+    except ValueError:
+        return 0.0
 
 
 def _has(image: Image, prefix: str) -> bool:

@@ -62,7 +62,7 @@ def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Dist
 
     Raises
     ------
-    ImageFileError, RenderError : a ground truth is damaged.
+    RenderFileError, ImageFileError : a ground truth differs from its record, or is damaged.
     DatasetError : a scene is missing or damaged.
     """
     first: list[HiddenObject] = []

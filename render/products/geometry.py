@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from itof import pixel_rays
 from scenegen import Dataset, camera_axes, wall_normal
+from scenegen.triangles import scene_triangles
 
 
 def traced_depth_m(
@@ -41,14 +41,17 @@ def traced_depth_m(
         corners = _triangles(folder / f"hidden_object_{number}.ply")
         mirrored = corners - 2 * ((corners - point) @ normal)[..., None] * normal
         nearest = np.minimum(nearest, _first_hits(origin, directions, mirrored))
-    blocked = _first_hits(origin, directions, _triangles(folder / "middle_wall.ply")) < nearest
+    walls = _triangles(folder / "middle_wall.ply")
+    if scene.mirror_occluders:
+        walls = np.concatenate([walls, walls - 2 * ((walls - point) @ normal)[..., None] * normal])
+    blocked = _first_hits(origin, directions, walls) < nearest
     return np.where(np.isinf(nearest) | blocked, 0.0, nearest)
 
 
 def _triangles(file: Path) -> NDArray[np.float64]:
     """(M, 3, 3) corners of a mesh file's triangles."""
-    mesh = trimesh.load_mesh(file, process=False)
-    return np.asarray(mesh.vertices[mesh.faces], dtype=np.float64)
+    vertices, triangles = scene_triangles(file.read_bytes(), str(file))
+    return vertices[triangles].astype(np.float64)
 
 
 def _first_hits(

@@ -16,6 +16,7 @@ from itof import TransientLayout, TransientReader
 from render.products.conversion import ExportError, exported_file
 from render.products.movie_encoding import encode_gif, encode_mp4
 from render.products.movie_pictures import DECADES, Frames, Span, draw_pictures
+from scenegen import PathLike
 
 _MOST_BYTES = 256 * 2**20  # of all frames as float32
 _MOST_PIXELS_WIDE, _NARROWEST = 1280, 240  # the label is 230 pixels wide
@@ -47,7 +48,9 @@ class MovieOptions:
             )
 
 
-def write_movie(transient: TransientReader | Path, out: Path, options: MovieOptions | None = None) -> None:
+def write_movie(
+    transient: TransientReader | PathLike, out: PathLike, options: MovieOptions | None = None
+) -> None:
     """Write a movie of a transient, from its first to its last light, as MP4 (H.264) or as GIF.
 
     A frame is the light of a few bins. Its colour is the logarithm of the radiance, over six decades below
@@ -70,9 +73,10 @@ def write_movie(transient: TransientReader | Path, out: Path, options: MovieOpti
         infinity.
     ImageFileError : the transient is missing or damaged.
     """
+    out = Path(out)
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise ExportError(f"a movie is an .mp4 or a .gif file: cannot write {out}")
-    if isinstance(transient, Path):
+    if not isinstance(transient, TransientReader):
         with TransientReader(transient) as reader:
             write_movie(reader, out, options)
         return
@@ -85,7 +89,10 @@ def write_movie(transient: TransientReader | Path, out: Path, options: MovieOpti
     pictures = draw_pictures(frames, total, span, transient.layout, chosen.min_width)
     encode = encode_gif if out.suffix.lower() == ".gif" else encode_mp4
     with exported_file(out) as partial:
-        encode(partial, pictures, chosen.frames_per_second)
+        try:
+            encode(partial, pictures, chosen.frames_per_second)
+        except ExportError as error:
+            raise ExportError(f"cannot write {out}: {error}") from None
 
 
 def _light_per_bin(reader: TransientReader) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

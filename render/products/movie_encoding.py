@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import signal
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -25,6 +28,7 @@ def encode_mp4(path: Path, pictures: Iterator[Picture], frames_per_second: int) 
     Raises
     ------
     ExportError : ffmpeg failed; the message has its own error.
+    OSError : the disk is full.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -48,7 +52,12 @@ def encode_mp4(path: Path, pictures: Iterator[Picture], frames_per_second: int) 
             pass  # ffmpeg ended early; its error is raised below
         complaint.seek(0)
         reason = " ".join(complaint.read().decode(errors="replace").split())
+    if ffmpeg.returncode == -signal.SIGXFSZ:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     if ffmpeg.returncode != 0:
+        for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            if os.strerror(number) in reason:
+                raise OSError(number, os.strerror(number), str(path))
         raise ExportError(
             f"ffmpeg could not encode the movie: {reason or f'it ended with code {ffmpeg.returncode}'}"
         )

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from render.products.card import (
     CARD_FILE,
     CONTACT_SHEET,
     DISTRIBUTIONS,
+    CardError,
     checked_licence,
     dataset_card,
     read_card,
@@ -22,15 +22,17 @@ from render.products.contact_sheet import contact_sheet
 from render.products.distributions import distributions_figure, read_distributions
 from render.products.tiles import PICTURE_SIZE, read_tile
 from render.settings import RenderError
-from scenegen import Dataset, Scene, rotation_matrix, whole_file, write_text
+from scenegen import Dataset, NightError, Scene, inside, rotation_matrix, whole_file, write_text
 from scenegen.making.meshes import UserMesh
 from scenegen.shapes import MESH_PREFIX
+from scenegen.triangles import scene_triangles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Picture = Callable[[Scene, int, int], NDArray[np.uint8]]
 _DOTS_PER_INCH = 110
+_HEAD_BYTES = 1024  # of a PNG file, with the name of the program that wrote it
 
 
 def write_preview(
@@ -56,19 +58,20 @@ def write_preview(
 
     Raises
     ------
-    CardError : the licence is empty.
-    ImageFileError, RenderError : a render is damaged.
+    CardError : the licence is empty, or a picture of another program has the name of one of the preview.
+    RenderFileError, ImageFileError, RenderError : a render is damaged.
     DatasetError : a scene is missing or damaged.
     """
     chosen = None if licence is None else checked_licence(licence)
+    _refuse_other_pictures(dataset)
     found = read_distributions(dataset, on_step)
     tiles = []
     for scene_id in ids:
         tiles.append(read_tile(dataset, scene_id, picture(dataset.scene(scene_id), *PICTURE_SIZE)))
         on_step()
     written = [
-        _write_figure(dataset.root / CONTACT_SHEET, contact_sheet(tiles)),
-        _write_figure(dataset.root / DISTRIBUTIONS, distributions_figure(found, dataset.preset)),
+        _write_figure(inside(dataset.root, CONTACT_SHEET), contact_sheet(tiles)),
+        _write_figure(inside(dataset.root, DISTRIBUTIONS), distributions_figure(found, dataset.preset)),
     ]
     earlier = read_card(dataset)
     if earlier.is_ours:
@@ -81,9 +84,24 @@ def check_preview(dataset: Dataset, ids: Sequence[str], licence: str | None) -> 
     """Raise the errors of `write_preview` for the licence and the renders of `ids`, without drawing."""
     if licence is not None:
         checked_licence(licence)
+    _refuse_other_pictures(dataset)
     width, height = PICTURE_SIZE
     for scene_id in ids:
         read_tile(dataset, scene_id, np.zeros((height, width, 3), np.uint8))
+
+
+def _refuse_other_pictures(dataset: Dataset) -> None:
+    """Refuse to replace a picture that Matplotlib, which draws the preview, did not write."""
+    for name in (CONTACT_SHEET, DISTRIBUTIONS):
+        file = inside(dataset.root, name)
+        if not file.exists():
+            continue
+        with file.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        if b"Software\0Matplotlib" not in head:
+            raise CardError(
+                f"{file} is not a picture that night-gen preview wrote and would be replaced: rename it"
+            )
 
 
 def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
@@ -103,15 +121,15 @@ def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
         for number, part in enumerate(dataset.scene(scene_id).hidden_objects):
             if part.shape not in wanted - set(meshes):
                 continue
-            file = dataset.scene_folder(scene_id) / f"hidden_object_{number}.ply"
+            file = inside(dataset.scene_folder(scene_id), f"hidden_object_{number}.ply")
             try:
-                solid = trimesh.load_mesh(file, process=False)
-            except (OSError, ValueError) as error:
+                vertices, triangles = scene_triangles(file.read_bytes(), str(file))
+            except (OSError, NightError) as error:
                 raise RenderError(f"{file} cannot be read ({error}): run night-gen scenes again") from None
-            local = (solid.vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
+            local = (vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
             meshes[part.shape] = UserMesh(
                 vertices=np.asarray(local, np.float32),
-                triangles=np.asarray(solid.faces, np.int32),
+                triangles=triangles.astype(np.int32),
                 outermost=np.arange(len(local)),
                 sha256=dataset.index.meshes.get(part.shape, ""),
             )

@@ -5,7 +5,6 @@ Source: ``NLOSCaptureData`` in y-tal 0.20 (https://github.com/diegoroyo/tal), fi
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -17,7 +16,8 @@ from numpy.typing import NDArray
 
 from itof import TransientLayout, TransientReader, pixel_rays
 from render.products.conversion import ExportError, exported_file, open_transient
-from scenegen import TRANSIENT_FILE, Dataset, Scene, camera_axes, rotation_matrix, wall_normal
+from render.products.patient_file import PatientFile
+from scenegen import TRANSIENT_FILE, Dataset, PathLike, Scene, camera_axes, rotation_matrix, wall_normal
 
 if TYPE_CHECKING:
     import h5py
@@ -34,7 +34,7 @@ _LASER_NOTE = (
 )
 
 
-def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
+def export_tal(dataset: Dataset, scene_id: str, out: PathLike) -> None:
     """Write the ``transient.exr`` of a scene as a capture that ``tal.io.read_capture`` reads.
 
     ============================  ==========================================================================
@@ -68,7 +68,7 @@ def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
     scene = dataset.scene(scene_id)
     with open_transient(dataset, scene_id) as reader:
         fields = _geometry(scene, reader.layout)
-        with exported_file(out) as partial, _hdf5_file(partial) as file:
+        with exported_file(out) as partial, _hdf5_file(partial) as (file, stream):
             for name, value in fields.items():
                 file[name] = value
             for name, members, chosen in (
@@ -83,50 +83,25 @@ def export_tal(dataset: Dataset, scene_id: str, out: Path) -> None:
             file["t_start"] = reader.layout.start_opl_m
             file["t_accounts_first_and_last_bounces"] = True
             file["scene_info"] = _scene_info(dataset, scene, reader)
-            _write_bins(file, reader)
-
-
-class _PatientFile(io.FileIO):
-    """A new file whose writes never fail; `error` is the first that did.
-
-    The HDF5 library crashes the process when a write fails, as on a full disk.
-    """
-
-    error: OSError | None = None
-
-    def write(self, data: Any) -> int:
-        """Write all of `data`."""
-        rest = memoryview(data).cast("B")
-        try:
-            while rest and self.error is None:
-                rest = rest[super().write(rest) :]
-        except OSError as error:
-            self.error = error
-        return memoryview(data).nbytes
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the length."""
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self.error = self.error or error
-            return size or 0
+            for _ in _written_bins(file, reader):
+                stream.raise_error()  # on a full disk, before the next block
 
 
 @contextmanager
-def _hdf5_file(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file; `OSError` at the end if it could not be written."""
+def _hdf5_file(path: Path) -> Iterator[tuple[h5py.File, PatientFile]]:
+    """A new HDF5 file and the stream that it is written to; `OSError` at the end if a write failed."""
     import h5py
 
-    with _PatientFile(path, "w+") as stream:
-        with h5py.File(stream, "w") as file:
-            yield file
-        if stream.error:
-            raise stream.error
+    with PatientFile(path) as stream, h5py.File(stream, "w") as file:
+        yield file, stream
+    stream.raise_error()
 
 
-def _write_bins(file: h5py.File, reader: TransientReader) -> None:
-    """Write ``H`` in blocks of image rows that are whole chunks, so that each chunk is compressed once."""
+def _written_bins(file: h5py.File, reader: TransientReader) -> Iterator[int]:
+    """Write ``H`` in blocks of image rows that are whole chunks, so that each chunk is compressed once.
+
+    Yields the number of rows that are written, after each block.
+    """
     axis = reader.layout
     shape = (axis.bin_count, axis.width, axis.height)
     chunks = tuple(map(min, shape, (_CHUNK_BINS, _CHUNK_COLUMNS, _CHUNK_ROWS)))
@@ -138,6 +113,7 @@ def _write_bins(file: h5py.File, reader: TransientReader) -> None:
     for block in reader.row_blocks(step):  # (rows, W, T)
         bins[:, :, row : row + len(block)] = block.transpose(2, 1, 0)
         row += len(block)
+        yield row
 
 
 def _geometry(scene: Scene, layout: TransientLayout) -> dict[str, NDArray[np.float32]]:

@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from itof import DepthMap, Image, ImageFileError, amplitude, direct_phasors, read_image
 from render.settings import RenderError
-from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, Scene, camera_axes, wall_normal
+from scenegen import (
+    GROUND_TRUTH_FILE,
+    MEASUREMENT_FILE,
+    RENDER_AGAIN,
+    Dataset,
+    Scene,
+    camera_axes,
+    is_recorded,
+    recorded_file,
+    wall_normal,
+)
 
 PICTURE_SIZE = (288, 216)  # width and height of Blender's view, pixels
 
@@ -40,9 +50,10 @@ class Tile:
 
 
 def is_rendered(dataset: Dataset, scene_id: str) -> bool:
-    """Whether the files of a scene's measurement and ground truth exist."""
+    """Whether a scene has a measurement and a ground truth, and a record unless another program made them."""
     folder = dataset.render_folder(scene_id)
-    return (folder / MEASUREMENT_FILE).is_file() and (folder / GROUND_TRUTH_FILE).is_file()
+    has_files = (folder / MEASUREMENT_FILE).is_file() and (folder / GROUND_TRUTH_FILE).is_file()
+    return has_files and is_recorded(dataset, scene_id)
 
 
 def read_tile(dataset: Dataset, scene_id: str, view: NDArray[np.uint8]) -> Tile:
@@ -54,14 +65,15 @@ def read_tile(dataset: Dataset, scene_id: str, view: NDArray[np.uint8]) -> Tile:
 
     Raises
     ------
-    ImageFileError : a rendered file is truncated or not an EXR file.
+    RenderFileError : a rendered file differs from its record.
+    ImageFileError : a file without a record is truncated or not an EXR file.
     RenderError : a rendered file does not have the channels of a render, or has NaN or infinite pixels.
     """
-    scene, folder = dataset.scene(scene_id), dataset.render_folder(scene_id)
+    scene = dataset.scene(scene_id)
     measured = hidden = depth_m = None
     is_residual = False
     if is_rendered(dataset, scene_id):
-        image = read_image(folder / MEASUREMENT_FILE)
+        image = read_image(recorded_file(dataset, scene_id, MEASUREMENT_FILE), advice=RENDER_AGAIN)
         is_residual = not any(name.startswith("hidden.") for name in image.channels)
         measured = checked_pixels(scene_id, MEASUREMENT_FILE, lambda: amplitude(image.phasors()[0][..., 0]))
         hidden = checked_pixels(scene_id, MEASUREMENT_FILE, lambda: _hidden(scene, image, is_residual))
@@ -71,8 +83,8 @@ def read_tile(dataset: Dataset, scene_id: str, view: NDArray[np.uint8]) -> Tile:
 
 
 def read_ground_truth(dataset: Dataset, scene_id: str) -> DepthMap:
-    """Ground truth (H, W) of a rendered scene; `ImageFileError` if the file is damaged."""
-    return DepthMap.read(dataset.render_folder(scene_id) / GROUND_TRUTH_FILE)
+    """Ground truth (H, W) of a rendered scene; `RenderFileError`, `ImageFileError` if the file is damaged."""
+    return DepthMap.read(recorded_file(dataset, scene_id, GROUND_TRUTH_FILE), advice=RENDER_AGAIN)
 
 
 def checked_pixels(
@@ -83,10 +95,10 @@ def checked_pixels(
         found = np.asarray(values(), np.float64)
     except ImageFileError as error:
         raise RenderError(
-            f"scene {scene_id}: {file} is no render of NIGHT ({error}): delete it and render it again"
+            f"scene {scene_id}: {file} is no render of NIGHT ({error}): {RENDER_AGAIN}"
         ) from None
     if not np.isfinite(found).all():
-        raise RenderError(f"scene {scene_id}: {file} holds NaN or infinity: delete it and render it again")
+        raise RenderError(f"scene {scene_id}: {file} holds NaN or infinity: {RENDER_AGAIN}")
     return found
 
 

@@ -5,42 +5,39 @@ docs/rendering.md derives the estimator and lists its errors.
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from render.options import ManyLightOptions
-from render.transport.gather_pass import (
-    Grid,
-    PixelRule,
-    gather_direct,
-    gather_lights,
-    gauss_rule,
-    midpoint_rule,
-    splat_rows,
-)
-from render.transport.hidden_surface import HiddenSurface, read_hidden_surface
-from render.transport.light_pass import Lights, light_density, make_lights, no_lights
+from render.transport.film.pixels import Grid, PixelRule, gauss_rule
+from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_surface
+from render.transport.lights.light_pass import Lights, light_density, make_lights
+from render.transport.lights.run_statistics import needed_points
 from render.transport.method import PhasorImage, View
-from render.transport.scene_checks import check_many_light_scene
+from render.transport.passes.direct_pass import DirectImage, gather_direct
+from render.transport.passes.gather_pass import gather_runs
+from render.transport.passes.hidden_pass import HiddenField, RunValues, first_lattice, make_field
+from render.transport.scene_checks import USE_PATH, SceneError, check_many_light_scene
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 _FEWEST_WALL_POINTS, _MOST_WALL_POINTS = 32, 256  # for each surface point
-_LIGHT_PATHS = 2**18  # surface points times wall points
-_DIRECT_RULE = gauss_rule(4)
-# Cells of the direct return in a transient: in the width of the image, and their limits in a pixel. Their
-# error must be small against a hidden signal of 3e-4, also in large pixels.
-_DIRECT_CELLS, _FEWEST_CELLS, _MOST_CELLS = 2560, 16, 64
-_PACKETS = 16  # for the arrivals of each light, in a transient
-_PILOT = Grid(16, 12)  # pixels that the error is estimated on
-_PILOT_RUNS = 4
-_FEWEST_LIGHTS, _MOST_LIGHTS = 128, 2**17
+_LIGHT_PATHS = 2**16  # surface points times wall points
+_RUNS = 8  # at least, in a trial and in an image
+_FEWEST_POINTS, _FIRST_TRIAL, _MOST_POINTS = 32, 128, 2**14  # on the hidden surface, of a run
+_REFINED = 1.5  # lights that lack this factor of points get new runs with twice the points, others more runs
+_MARGIN = 0.85  # of the wanted error: what the lights are planned for; the rest is for chance
+_FOR_LIGHTS = (
+    0.96  # of the wanted error, for the lights; with a quarter for the interpolation it is all of it
+)
 _WIDE_PIXEL = 4e-3  # of the image width; the hidden part of wider pixels takes 2 x 2 nodes instead of one
 
 log = logging.getLogger(__name__)
@@ -51,7 +48,7 @@ class ManyLight:
 
     Parameters
     ----------
-    options : `lights` fixes the number of surface points. Without it, a pilot finds the number that the
+    options : `lights` fixes the number of surface points. Without it, trials find the number that the
         hidden-signal error `error` needs.
     variant : the active Mitsuba variant.
     """
@@ -72,57 +69,87 @@ class ManyLight:
         if view.max_bounces > 1:
             check_many_light_scene(scene, surface is not None)
         if surface is None:
-            return ManyLightExposure(scene, view, no_lights(), None)
+            return ManyLightExposure(scene, view, None)
         workshop = LightWorkshop(scene, surface, light_density(scene, surface, view.seed), view)
-        count, error = self._count_and_error(workshop)
-        lights = workshop.lights(count, view.seed, view.max_bounces)
-        log.debug("%d surface points became %d lights", count, len(lights))
-        return ManyLightExposure(scene, view, lights, error)
+        layout, wanted = view.layout, None if self.options.lights else self.options.error
+        try:
+            lights, found = self._lights(workshop)
+        except ValueError as error:
+            raise SceneError(f"the hidden signal cannot be estimated ({error}): {USE_PATH}") from None
+        field = make_field(
+            scene,
+            lights,
+            view.frequencies_hz,
+            found,
+            aspect=layout.width / layout.height,
+            most_nodes=layout.width * layout.height * hidden_rule(layout.width).count,
+            wanted=wanted,
+        )
+        log.debug("%d lights of %d runs, %s", len(lights), lights.runs, field.lattice)
+        return ManyLightExposure(scene, view, field)
 
-    def _count_and_error(self, workshop: LightWorkshop) -> tuple[int, float]:
-        """Number of surface points, and the estimated error of the hidden signal with that number."""
+    def _lights(self, workshop: LightWorkshop) -> tuple[Lights, RunValues]:
+        """The lights of the image, and the hidden signal by each of their runs."""
         if self.options.lights is not None:
-            return self.options.lights, workshop.pilot_error(self.options.lights)
-        count = _FEWEST_LIGHTS
-        while (error := workshop.pilot_error(count)) > self.options.error:
-            if count >= _MOST_LIGHTS:
-                log.warning("the hidden-signal error is %.2g even with %d lights", error, count)
+            runs = min(_RUNS, max(2, self.options.lights))
+            return workshop.evaluated(-(-self.options.lights // runs), runs, 0)
+        count = _FIRST_TRIAL
+        needed = float(count)
+        for trial in itertools.count(1):
+            error = workshop.evaluated(count, _RUNS, trial)[1].error
+            needed = needed_points(count, error, _MARGIN * self.options.error)
+            if needed <= 4 * count or count >= _MOST_POINTS:
                 break
-            # On a smooth surface, twice the points halve the error, so a large error needs two doublings.
-            count *= 4 if error > 8 * self.options.error else 2
-        return count, error
+            count *= 4
+        needed = min(max(needed, _FEWEST_POINTS), _MOST_POINTS)
+        # Powers of two make the most even points; the number of runs makes up for the rest.
+        count = 2 ** int(np.log2(needed))
+        runs = int(np.ceil(_RUNS * needed / count))
+        lights, found = workshop.evaluated(count, runs, 0)
+        wanted = _FOR_LIGHTS * self.options.error
+        # The trial was lucky. More of the same hardly lower the estimate of the error, which all runs give.
+        stream = 0
+        while found.error > wanted and lights.runs * count < _RUNS * _MOST_POINTS:
+            if needed_points(count, found.error, wanted) > _REFINED * count:
+                stream, count = stream - 1, 2 * count
+                lights, found = workshop.evaluated(count, _RUNS, stream)
+            else:
+                runs = int(np.ceil(lights.runs * ((found.error / wanted) ** 2 - 1) * 1.1))
+                lights, found = workshop.with_more_runs(lights, found, count, runs, stream)
+        if found.error > self.options.error:
+            log.warning("the hidden-signal error is %.2g even with %d lights", found.error, len(lights))
+        return lights, found
 
 
 @dataclass(frozen=True)
 class LightWorkshop:
-    """Makes sets of lights for one measurement, for the pilot and for the image."""
+    """Makes sets of lights for one measurement, for trials and for the image."""
 
     scene: mi.Scene
     surface: HiddenSurface
     density: NDArray[np.float64]
     view: View
 
-    def lights(self, count: int, seed: int, max_bounces: int = 3) -> Lights:
-        """Lights at `count` surface points. With more surface points, each needs fewer wall points."""
-        wall_points = min(max(_LIGHT_PATHS // count, _FEWEST_WALL_POINTS), _MOST_WALL_POINTS)
-        return make_lights(self.scene, self.surface, self.density, count, wall_points, seed, max_bounces)
+    def lights(self, count: int, runs: int, stream: int, first_run: int = 0) -> Lights:
+        """Lights of independent runs with `count` surface points each; stream 0 is the image."""
+        wall_points = min(max(_LIGHT_PATHS // (count * _RUNS), _FEWEST_WALL_POINTS), _MOST_WALL_POINTS)
+        numbers = np.random.SeedSequence([self.view.seed, 1, stream % 2**32]).generate_state(first_run + runs)
+        seeds = [int(number) for number in numbers[first_run:]]
+        bounces = self.view.max_bounces
+        return make_lights(self.scene, self.surface, self.density, count, wall_points, seeds, bounces)
 
-    def pilot_error(self, count: int) -> float:
-        """Relative error ‖z - z̄‖ / ‖z̄‖ of the hidden phasors with `count` surface points.
+    def evaluated(self, count: int, runs: int, stream: int, first_run: int = 0) -> tuple[Lights, RunValues]:
+        """Lights, and the hidden signal by each run at the nodes of the coarsest lattice."""
+        lights = self.lights(count, runs, stream, first_run)
+        nodes = first_lattice(self.view.layout.width / self.view.layout.height).nodes
+        return lights, RunValues(nodes, gather_runs(self.scene, nodes, self.view.frequencies_hz, lights))
 
-        It is the standard deviation over four independent scramblings of the points, on 16 x 12 pixels at the
-        highest frequency, where the error is largest.
-        """
-        highest = (max(self.view.frequencies_hz),)
-        runs = []
-        for run in range(_PILOT_RUNS):
-            seed = int(np.random.SeedSequence([self.view.seed, 1, run]).generate_state(1)[0])
-            runs.append(gather_lights(self.scene, _PILOT, highest, gauss_rule(1), self.lights(count, seed)))
-        z = np.array(runs)
-        mean = z.mean(axis=0)
-        norm = np.linalg.norm(mean)
-        variance = (np.abs(z - mean) ** 2).sum() / (_PILOT_RUNS - 1)
-        return float(np.sqrt(variance) / norm) if norm > 0 else 0.0
+    def with_more_runs(
+        self, lights: Lights, found: RunValues, count: int, runs: int, stream: int
+    ) -> tuple[Lights, RunValues]:
+        """The lights of the image with further runs."""
+        more, values = self.evaluated(count, runs, stream, lights.runs)
+        return lights.joined(more), replace(found, values=np.concatenate([found.values, values.values]))
 
 
 @dataclass(frozen=True)
@@ -131,40 +158,49 @@ class ManyLightExposure:
 
     Attributes
     ----------
-    lights : virtual lights; empty without a hidden object.
-    error : estimated error of the hidden phasors, relative to them; None without a hidden object.
+    field : the hidden signal over the film; None without a hidden object.
     """
 
     scene: mi.Scene
     view: View
-    lights: Lights
-    error: float | None
+    field: HiddenField | None
+
+    @property
+    def error(self) -> float | None:
+        """Estimated error of the hidden phasors, relative to them; None without a hidden object."""
+        return None if self.field is None else self.field.error
 
     @property
     def attributes(self) -> dict[str, str]:
         """Provenance for the file: number of lights, and estimated error of the hidden signal."""
-        counts = {"lights": str(len(self.lights))}
-        return counts if self.error is None else {**counts, "hidden_error": f"{self.error:.3g}"}
+        if self.field is None:
+            return {"lights": "0"}
+        return {"lights": str(len(self.field.lights)), "hidden_error": f"{self.field.error:.3g}"}
 
     def phasors(self) -> PhasorImage:
         """Phasors without time bins; the hidden part has no noise from the direct return."""
-        grid, frequencies_hz = Grid(self.view.layout.width, self.view.layout.height), self.view.frequencies_hz
-        direct = gather_direct(self.scene, grid, frequencies_hz, _DIRECT_RULE, self.view.seed)
-        hidden = gather_lights(self.scene, grid, frequencies_hz, self._hidden_rule, self.lights)
+        direct = self._direct.phasors
+        hidden = np.zeros_like(direct)
+        if self.field is not None:
+            hidden = self.field.image(self._grid, hidden_rule(self._grid.width), self._direct)
         return PhasorImage(direct + hidden, direct, hidden, self.error)
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
-        layout = self.view.layout
-        packets = self.lights.packets(_PACKETS)
-        rule = midpoint_rule(min(max(_DIRECT_CELLS // layout.width, _FEWEST_CELLS), _MOST_CELLS))
-        step = min(layout.rows_per_block, max(1, 2**22 // (layout.width * rule.count)))
-        for start in range(0, layout.height, step):
-            rows = (start, min(start + step, layout.height))
-            yield splat_rows(
-                self.scene, layout, rows, self.lights, packets, rule, self._hidden_rule, self.view.seed
-            )
+        from render.transport.passes.transient_pass import transient_rows
+
+        rule = hidden_rule(self._grid.width)
+        yield from transient_rows(self.scene, self.view, self._grid, rule, self._direct, self.field)
+
+    @cached_property
+    def _direct(self) -> DirectImage:
+        return gather_direct(self.scene, self._grid, self.view.frequencies_hz, self.view.seed)
 
     @property
-    def _hidden_rule(self) -> PixelRule:
-        return gauss_rule(2 if 1 / self.view.layout.width > _WIDE_PIXEL else 1)
+    def _grid(self) -> Grid:
+        return Grid(self.view.layout.width, self.view.layout.height)
+
+
+def hidden_rule(width: int) -> PixelRule:
+    """Nodes for the hidden part of a pixel in an image of this width."""
+    return gauss_rule(2 if 1 / width > _WIDE_PIXEL else 1)

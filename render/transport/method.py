@@ -25,12 +25,14 @@ class View:
     frequencies_hz : modulation frequencies, Hz, F of them.
     max_bounces : most surfaces that light may meet.
     seed : of the random numbers; equal seeds give equal results on the same device.
+    accept_lost_light : whether transients may lack light that arrives outside the time axis.
     """
 
     layout: TransientLayout
     frequencies_hz: tuple[float, ...]
     max_bounces: int
     seed: int
+    accept_lost_light: bool = False
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class PhasorImage:
     total : sum of both parts.
     direct : one-bounce return of the surfaces that the camera sees.
     hidden : all light that met the hidden object.
-    error : estimated error of `hidden`, relative to `hidden`; None without a hidden object.
+    error : upper bound of the error of `hidden`, relative to `hidden`; it holds in 95 % of renders. None
+        without a hidden object.
     """
 
     total: NDArray[np.complex128]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from render.transport.hidden_surface import hidden_shapes
+from render.transport.lights.hidden_surface import hidden_shapes
 from scenegen import NightError
 
 if TYPE_CHECKING:
@@ -33,8 +33,9 @@ def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    from render.transport.kernels import camera_hits, upload
-    from render.transport.light_pass import emitted_rays
+    from render.transport.kernels.arrays import upload
+    from render.transport.kernels.rays import camera_hits
+    from render.transport.lights.light_pass import emitted_rays
 
     lit_any = smooth_any = False
     for emitter in scene.emitters():
@@ -64,6 +65,6 @@ def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
 
 
 def _meets_hidden(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> NDArray[np.bool_]:
-    from render.transport.kernels import on_shapes
+    from render.transport.kernels.rays import on_shapes
 
     return np.array(on_shapes(si, hidden_shapes(scene)))

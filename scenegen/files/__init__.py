@@ -1,5 +1,6 @@
-"""Files that are complete or absent, and their hashes.
+"""Files that are complete or absent, their hashes, and folders that hold nothing but our files.
 
-`whole_files` writes files and folders that appear whole or not at all. `file_hashes` remembers the hashes of
-files that have not changed. May import `scenegen.night_error`; nothing else of `scenegen`.
+`whole_files` writes files and folders that appear whole or not at all, in the temporary folders of
+`partials`. `own_files` refuses to replace a folder with files of others. `inside` refuses paths that lead out
+of a folder. `locks` are for processes. May import `scenegen.night_error`; nothing else of `scenegen`.
 """

@@ -11,15 +11,16 @@ import json
 import time
 from pathlib import Path
 
+from scenegen.files.path_like import PathLike
 from scenegen.files.whole_files import write_text
 
 HASHES_FILE = ".hashes.json"
 _RACY_NS = 2_000_000_000  # a file that is younger may change again without a new time of change
 
 
-def sha256_of(file: Path) -> str:
+def sha256_of(file: PathLike) -> str:
     """SHA-256 of a file's bytes as hexadecimal text; `OSError` when the file cannot be read."""
-    with file.open("rb") as stream:
+    with Path(file).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
@@ -30,13 +31,14 @@ class FileHashes:
     others, which only costs time.
     """
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self._known = _read(root / HASHES_FILE)
+    def __init__(self, root: PathLike) -> None:
+        self.root = Path(root)
+        self._known = _read(self.root / HASHES_FILE)
         self._changed = False
 
-    def sha256(self, file: Path) -> str:
+    def sha256(self, file: PathLike) -> str:
         """SHA-256 of a file under `root`; it is read only if it has changed. `OSError` when that fails."""
+        file = Path(file)
         state = file.stat()
         name = file.relative_to(self.root).as_posix()
         stamp = [state.st_size, state.st_mtime_ns, state.st_ino]
@@ -49,8 +51,9 @@ class FileHashes:
             self._changed = True
         return digest
 
-    def learn(self, file: Path, sha256: str) -> None:
+    def learn(self, file: PathLike, sha256: str) -> None:
         """Store the hash of a file that was written and hashed just now."""
+        file = Path(file)
         try:
             state = file.stat()
         except OSError:
@@ -72,8 +75,8 @@ class FileHashes:
 
 def _read(file: Path) -> dict[str, list[int | str]]:
     try:
-        known = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(known, dict):
         return {}

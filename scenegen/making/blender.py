@@ -26,8 +26,10 @@ from scenegen.making.blender_shapes import (
 )
 from scenegen.making.blender_start import STDOUT, BlenderVector, BVHTree, bpy, empty_blender
 from scenegen.making.meshes import UserMesh
-from scenegen.making.mitsuba_xml import EMITTER_IMAGE, MeshFile, emitter_pfm, scene_xml
+from scenegen.mitsuba_description import EMITTER_IMAGE, emitter_pfm, hidden_names, mirrored_names
+from scenegen.mitsuba_xml import scene_files_for_mitsuba
 from scenegen.scene import Scene, Wall, scene_to_json
+from scenegen.scene_folder import SCENE_FILE, WALLS
 from scenegen.shapes import PRIMITIVES, Shape
 
 CLEARANCE_M = 1e-3  # objects keep this distance to the relay wall, so that no ray starts inside it
@@ -67,7 +69,7 @@ class BlenderMaker:
             facing, point = relay.to_3x3() @ BlenderVector((0, 0, 1)), relay.translation
             middle = world_mesh(objects["middle_wall"])
             blocker = BVHTree.FromPolygons([tuple(v.co) for v in middle.vertices], [[0, 1, 3, 2]])
-            for name, part in zip(_hidden_names(scene), scene.hidden_objects, strict=True):
+            for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
                 vertices = world_mesh(objects[name]).vertices
                 for index in self._outermost.get(part.shape, range(len(vertices))):
                     vertex = vertices[index]
@@ -83,29 +85,19 @@ class BlenderMaker:
         made = {}
         with self._built(scene) as objects:
             mirror = reflection(objects["relay_wall"].matrix_world)
-            walls = ["relay_wall", "middle_wall"]
-            for name in (*walls, *_hidden_names(scene)):
+            for name in (*WALLS, *hidden_names(scene)):
                 made[f"{name}.ply"] = ply_bytes(world_mesh(objects[name]))
-            for name in _hidden_names(scene):
-                made[f"mirrored_{name}.ply"] = ply_bytes(world_mesh(objects[name], mirror))
-            poses = [np.array(objects[name].matrix_world) for name in ("camera", "emitter")]
-        hidden = [MeshFile(f"{name}.ply", "hidden_object") for name in _hidden_names(scene)]
-        mirrored = [MeshFile(f"mirrored_{mesh.name}", mesh.material) for mesh in hidden]
-        relay, middle = (MeshFile(f"{name}.ply", name) for name in walls)
-        seen = scene_xml(scene, poses[0], poses[1], [relay, middle, *hidden], scene.max_bounces)
-        truth = scene_xml(scene, poses[0], poses[1], [middle, *mirrored], 1)
-        return made | {
-            "scene.xml": seen.encode(),
-            "mirrored.xml": truth.encode(),
-            EMITTER_IMAGE: emitter_pfm(scene.camera),
-            "scene.json": scene_to_json(scene).encode(),
-        }
+            for mirrored, name in mirrored_names(scene).items():
+                made[f"{mirrored}.ply"] = ply_bytes(world_mesh(objects[name], mirror))
+        exported = {name: text.encode() for name, text in scene_files_for_mitsuba(scene).items()}
+        image = {EMITTER_IMAGE: emitter_pfm(scene.camera)}
+        return made | exported | image | {SCENE_FILE: scene_to_json(scene).encode()}
 
     def picture(self, scene: Scene, width: int, height: int) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB picture of the scene from outside; see `scenegen.making.blender_picture`."""
         with self._built(scene) as objects:
-            relay, middle = (world_mesh(objects[name]) for name in ("relay_wall", "middle_wall"))
-            hidden = [world_mesh(objects[name]) for name in _hidden_names(scene)]
+            relay, middle = (world_mesh(objects[name]) for name in WALLS)
+            hidden = [world_mesh(objects[name]) for name in hidden_names(scene)]
             return outside_view(scene, relay, middle, hidden, width, height)
 
     @contextmanager
@@ -118,7 +110,7 @@ class BlenderMaker:
             "camera": _camera(scene),
             "emitter": _emitter(scene),
         }
-        for name, part in zip(_hidden_names(scene), scene.hidden_objects, strict=True):
+        for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
             hidden = _placed(name, self._shapes[part.shape], part.location_m, part.rotation_deg)
             hidden.scale = part.size_m
             objects[name] = hidden
@@ -134,10 +126,6 @@ class BlenderMaker:
         placed = _placed(name, self._square, wall.location_m, wall.rotation_deg)
         placed.scale = (*wall.size_m, 1.0)
         return placed
-
-
-def _hidden_names(scene: Scene) -> list[str]:
-    return [f"hidden_object_{number}" for number in range(len(scene.hidden_objects))]
 
 
 def _placed(name: str, data: bpy.types.ID, location_m: Vector, rotation_deg: Vector) -> bpy.types.Object:

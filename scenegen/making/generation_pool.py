@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,13 +15,15 @@ from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
 
-from scenegen.dataset import Dataset
-from scenegen.making.generation import NO_MESHES, Maker, finish, prepare, reported, write_scene
+from scenegen.dataset import Dataset, SceneEntry
+from scenegen.making.generation import Maker, finish, prepare, reported, write_scene
+from scenegen.making.target import NO_MESHES
 from scenegen.night_error import NightError
 from scenegen.preset import Preset
-from scenegen.scene import Scene
+from scenegen.worker_processes import ended_when_broken
 
 _Result = TypeVar("_Result")
 _CHUNK = 16  # scenes of one task: it takes tens of milliseconds, so that progress is visible
@@ -94,7 +97,8 @@ def _pool(
     stop = context.Event()
     pool = ProcessPoolExecutor(workers, context, _start_worker, (root, preset, make_maker, stop))
     try:
-        yield pool
+        with ended_when_broken():
+            yield pool
     except BrokenProcessPool:
         raise WorkerError(
             "a worker process was killed, perhaps because memory ran out: run the same command again to "
@@ -106,20 +110,25 @@ def _pool(
 
 
 def _submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: object) -> Future[_Result]:
-    """Submit a task. A worker that is started for it ignores Ctrl-C, which this process handles for all."""
+    """Submit a task. A worker that is started for it ignores Ctrl-C, which this process handles for all.
+
+    Nor does it run the caller's script again, as new processes do for functions that are defined there.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # new processes inherit the mask
+    main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
     try:
         return pool.submit(task, *arguments)
     finally:
+        sys.modules["__main__"] = main
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _results(pool: ProcessPoolExecutor, chunks: Iterable[range], ahead: int) -> Iterator[Scene]:
+def _results(pool: ProcessPoolExecutor, chunks: Iterable[range], ahead: int) -> Iterator[SceneEntry]:
     """Yield the scenes in order; `ahead` more chunks are submitted than the one that is waited for.
 
     No task is ever cancelled: a pool that breaks at that moment hangs (Python 3.11).
     """
-    pending: deque[Future[list[Scene]]] = deque()
+    pending: deque[Future[list[SceneEntry]]] = deque()
     for chunk in chunks:
         pending.append(_submit(pool, _write_in_worker, chunk))
         if len(pending) > ahead:
@@ -145,9 +154,9 @@ def _version_in_worker() -> str:
     return _workers[0].maker().version
 
 
-def _write_in_worker(indices: range) -> list[Scene]:
+def _write_in_worker(indices: range) -> list[SceneEntry]:
     worker = _workers[0]
-    made: list[Scene] = []
+    made: list[SceneEntry] = []
     for index in indices:
         if worker.stop.is_set():
             break  # the command is ending and needs no more scenes

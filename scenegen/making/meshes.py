@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,18 +11,14 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from scenegen.night_error import NightError
+from scenegen.files.inside import inside
 from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
+from scenegen.triangles import MeshError, read_triangles
 
-MAX_TRIANGLES = 2_000_000  # a PLY file of 26 MB; Blender needs seconds for it
 MAX_FILE_BYTES = 2**30  # two million triangles as text take about half of it
 _EXTENT_RANGE = (1e-30, 1e30)  # float64 holds the squares and products of such lengths
 _FLOAT32_STEP = float(np.finfo(np.float32).eps)  # accuracy of coordinates in the unit box
-
-
-class MeshError(NightError):
-    """A mesh file that is missing, cannot be read, or contains no surface."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +40,11 @@ class UserMesh:
     outermost: NDArray[np.int64]
     sha256: str
 
+    @property
+    def radius(self) -> float:
+        """Largest distance of a vertex from the origin; 1/2 to √3/2."""
+        return float(np.linalg.norm(self.vertices[self.outermost].astype(np.float64), axis=1).max())
+
 
 def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
     """Read the meshes that a preset's shapes name, by shape; `folder` is the preset's folder.
@@ -52,9 +52,10 @@ def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
     Raises
     ------
     MeshError : a file that `read_mesh` refuses; the message names it.
+    OutsideError : a file is not inside `folder`.
     """
     shapes = [shape for shape in preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)]
-    return {shape: read_mesh(folder / shape.removeprefix(MESH_PREFIX)) for shape in shapes}
+    return {shape: read_mesh(inside(folder, shape.removeprefix(MESH_PREFIX))) for shape in shapes}
 
 
 def read_mesh(file: Path) -> UserMesh:
@@ -71,15 +72,12 @@ def read_mesh(file: Path) -> UserMesh:
         has more than two million triangles.
     """
     contents = _contents(file)
-    vertices, triangles = _parsed(file, contents)
-    if len(triangles) == 0:
-        raise MeshError(f"mesh {file} has no triangles")
-    if len(triangles) > MAX_TRIANGLES:
-        raise MeshError(f"mesh {file} has {len(triangles)} triangles: simplify it to at most {MAX_TRIANGLES}")
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise MeshError(f"mesh {file} is damaged: its faces name vertices that it does not have")
-    if not np.isfinite(vertices).all():
-        raise MeshError(f"mesh {file} has vertices that are infinite or not a number")
+    kind = file.suffix.lower().removeprefix(".")
+    if not contents:
+        raise MeshError(f"mesh {file} is empty")
+    if kind not in trimesh.available_formats():
+        raise MeshError(f"mesh {file} is in no known format: convert it to .ply, .stl, .obj, .off or .glb")
+    vertices, triangles = read_triangles(contents, kind, str(file))
     unit, kept = _in_unit_box(file, vertices, triangles)
     return UserMesh(unit, kept, _outermost(unit), hashlib.sha256(contents).hexdigest())
 
@@ -93,26 +91,11 @@ def _contents(file: Path) -> bytes:
         return file.read_bytes()
     except FileNotFoundError:
         raise MeshError(
-            f"mesh {file} is missing: the shape {MESH_PREFIX}FILE is relative to the preset's folder"
+            f"mesh {file} is missing: the shape {MESH_PREFIX}FILE is relative to the preset's folder, which "
+            "--preset gives"
         ) from None
     except OSError as error:
         raise MeshError(f"mesh {file} cannot be read: {error.strerror}") from None
-
-
-def _parsed(file: Path, contents: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    kind = file.suffix.lower().removeprefix(".")
-    if not contents:
-        raise MeshError(f"mesh {file} is empty")
-    if kind not in trimesh.available_formats():
-        raise MeshError(f"mesh {file} is in no known format: convert it to .ply, .stl, .obj, .off or .glb")
-    try:
-        mesh = trimesh.load_mesh(io.BytesIO(contents), file_type=kind, process=False)
-        vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
-        return vertices, np.asarray(mesh.faces, np.int64).reshape(-1, 3)
-    except MemoryError:
-        raise
-    except Exception as error:  # trimesh's parsers raise errors of any class on damaged files
-        raise MeshError(f"mesh {file} cannot be read as {kind.upper()}: {error}") from None
 
 
 def _in_unit_box(

@@ -1,0 +1,82 @@
+"""Where a flat relay wall should be, as the camera sees it: its direct return, and its plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from itof.light import phase_per_metre
+from itof.pinhole import pixel_rays
+
+_FARTHEST_M = 1e9  # whose square is far from overflow
+
+
+@dataclass(frozen=True)
+class ExpectedWall:
+    """Relay wall and camera as they should be, in camera axes (x right, y down, z forward).
+
+    Attributes
+    ----------
+    frequencies_hz : F modulation frequencies, Hz.
+    direct : (H, W, F) complex direct return of the wall, in any unit; 0 where a ray misses the wall.
+    rays : (H, W, 3) unit vectors through the pixel centres.
+    plane_per_m : (3,) the plane m, 1/m: the wall's distance along a ray r is 1 / (m · r).
+    """
+
+    frequencies_hz: tuple[float, ...]
+    direct: NDArray[np.complexfloating[Any, Any]]
+    rays: NDArray[np.float64]
+    plane_per_m: NDArray[np.float64]
+
+    @classmethod
+    def of_camera(
+        cls,
+        direct: NDArray[np.complexfloating[Any, Any]],
+        frequencies_hz: Sequence[float],
+        horizontal_fov_deg: float,
+        camera_axes: ArrayLike,
+        camera_location_m: ArrayLike,
+        wall_point_m: ArrayLike,
+        wall_normal: ArrayLike,
+    ) -> ExpectedWall:
+        """The wall with the return `direct` (H, W, F); the other parameters as in `itof.direct_phasors`.
+
+        Raises
+        ------
+        ValueError : the camera is in the plane of the wall.
+        """
+        normal = np.asarray(wall_normal, dtype=np.float64)
+        gap = (np.asarray(wall_point_m, dtype=np.float64) - np.asarray(camera_location_m)) @ normal
+        if gap == 0:
+            raise ValueError("the camera is in the plane of the wall")
+        plane_per_m = np.asarray(camera_axes, dtype=np.float64) @ normal / gap  # m · r = 1 / L
+        height, width = direct.shape[:2]
+        rays = pixel_rays(width, height, horizontal_fov_deg)
+        return cls(tuple(frequencies_hz), direct, rays, plane_per_m)
+
+    def at(self, places: Sequence[int]) -> ExpectedWall:
+        """The wall at some of the frequencies, given by their indices."""
+        frequencies_hz = tuple(self.frequencies_hz[place] for place in places)
+        return replace(self, frequencies_hz=frequencies_hz, direct=self.direct[..., list(places)])
+
+    @cached_property
+    def radial_depth_m(self) -> NDArray[np.float64]:
+        """(H, W) L_0, metres along the ray; infinite where a ray misses the wall."""
+        return radial_depth_of_plane(self.rays, self.plane_per_m)
+
+    @cached_property
+    def slope(self) -> NDArray[np.float64]:
+        """(F,) k_f, phase per metre of depth, rad/m."""
+        return 2 * phase_per_metre(self.frequencies_hz)  # out and back
+
+
+def radial_depth_of_plane(rays: NDArray[np.float64], plane_per_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) distance of the plane along the rays (..., 3), metres; infinite where a ray misses it."""
+    inverse = rays @ plane_per_m
+    ahead = inverse > 1 / _FARTHEST_M
+    return np.where(ahead, 1 / np.where(ahead, inverse, 1.0), np.inf)

@@ -1,0 +1,37 @@
+"""What makes a prediction from a measurement doubtful, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that makes a prediction from a measurement doubtful.
+
+    Attributes
+    ----------
+    code : the kind of finding, for programs:
+        ``no-wall`` (the light is not that of a wall), ``convention`` (sign, order or axes),
+        ``wall-moved``, ``phase-offsets``, ``scatter``, ``strange-pixels``, ``dead-pixels``,
+        ``even-amplitude``, ``saturated``.
+    sentence : the same for a reader, without a capital letter and a full stop.
+    refused : whether predictions from such a measurement are useless; otherwise they are worse.
+    """
+
+    code: str
+    sentence: str
+    refused: bool
+
+
+def megahertz(frequencies_hz: Iterable[float]) -> str:
+    """Frequencies as text: ``20, 50 MHz``."""
+    return ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz) + " MHz"
+
+
+def length(metres: float) -> str:
+    """A length as text, in a unit that suits it: ``0.1 mm``, ``5.0 cm``, ``2.25 m``."""
+    if metres >= 0.9995:
+        return f"{metres:.2f} m"
+    return f"{100 * metres:.1f} cm" if metres >= 0.01 else f"{1000 * metres:.1f} mm"

@@ -1,0 +1,90 @@
+"""The wall fit that explains a measurement best: with phase offsets or without, as expected or elsewhere."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from itof.light import phase
+from itof.unwrapping import combined_range_m, unwrap_depth
+from itof.wall.expected_wall import ExpectedWall
+from itof.wall.plane_phases import MOST_PIXELS
+from itof.wall.wall_fit import WallFit, fit_wall, pixel_weights, without_unit
+
+WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall
+_OFFSETS_HELP = 0.7  # residual's mean square with offsets over that without: then they are real
+_FARTHEST_M = 30.0  # of a wall that is searched
+_NEAREST_M = 1e-3
+_STEPS = 40  # of the search; each takes a few milliseconds at 320 x 240
+_SAME_PLANE = 1e-6  # relative change of a step that ends the search: the fit goes on from there
+
+
+def locate_wall(
+    phasor: NDArray[Any], wall: ExpectedWall, *, direct: NDArray[Any] | None = None
+) -> WallFit | None:
+    """The fit of the wall that explains the phases (H, W, F); None if too few pixels hold light.
+
+    Phase offsets are fitted only where the plane alone leaves much more: noise of 1 % would otherwise put
+    the wall centimetres off. If the wall is not near its expected place, it is searched everywhere. With
+    `direct`, a measured direct return, it is only searched near the place that this return shows.
+    """
+    try:
+        near = _best_fit(phasor, wall, None, direct)
+        if found(near) or direct is not None:
+            return near
+        far = _best_fit(phasor, wall, plane_from_nothing(phasor, wall), None)
+    except ValueError:  # too few pixels
+        return None
+    return max(near, far, key=lambda each: float(each.wall_share.mean()))
+
+
+def found(fit: WallFit | None) -> bool:
+    """Whether the fit shows a wall at every frequency."""
+    return fit is not None and bool(fit.wall_share.min() >= WALL_SHARE)
+
+
+def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> NDArray[np.float64]:
+    """(3,) plane m of a wall whose pose is unknown, 1/m in camera axes: a start for `fit_wall`.
+
+    The phases of all frequencies together give each pixel's distance L (`itof.unwrap_depth`), and
+    1 / L = m · r is linear in m. Of the expected wall only rays and frequencies are used. Pixels are
+    weighted by |z|² and by the inverse of their error (least absolute deviations).
+
+    Raises
+    ------
+    ValueError : no pixel holds light.
+    """
+    z = without_unit(phasor, wall)
+    lit = np.flatnonzero((z != 0).all(-1))
+    if not lit.size:
+        raise ValueError("no pixel holds light")
+    lit = lit[:: max(1, len(lit) // MOST_PIXELS)]
+    z, rays = z.reshape(-1, z.shape[-1])[lit], wall.rays.reshape(-1, 3)[lit]
+    limit_m = min(combined_range_m(wall.frequencies_hz), _FARTHEST_M)
+    depth_m = np.maximum(unwrap_depth(phase(z), wall.frequencies_hz, limit_m), _NEAREST_M)  # (n,)
+    weight = pixel_weights(z, z) * depth_m**4  # d(1/L) = -dL / L²
+    error_m, plane = np.ones_like(depth_m), np.zeros(3)
+    for _ in range(_STEPS):
+        root = np.sqrt(weight / weight.sum() / error_m)
+        before = plane
+        plane = np.linalg.lstsq(rays * root[:, None], root / depth_m, rcond=None)[0]
+        error_m = np.maximum(np.abs(rays @ plane - 1 / depth_m) * depth_m**2, _NEAREST_M)
+        if np.linalg.norm(plane - before) < _SAME_PLANE * np.linalg.norm(plane):
+            break
+    return plane
+
+
+def _best_fit(
+    phasor: NDArray[Any],
+    wall: ExpectedWall,
+    start_per_m: NDArray[np.float64] | None,
+    direct: NDArray[Any] | None,
+) -> WallFit:
+    plane = fit_wall(phasor, wall, start_per_m=start_per_m, direct=direct)
+    if len(wall.frequencies_hz) == 1:
+        return plane
+    both = fit_wall(phasor, wall, offsets=True, start_per_m=start_per_m, direct=direct)
+    left, without = (float((each.residual_rad**2 * each.weight[..., None]).sum()) for each in (both, plane))
+    return both if left < _OFFSETS_HELP * without else plane

@@ -1,0 +1,91 @@
+"""The direct return of a wall whose brightness varies within a pixel, weighted by what was measured.
+
+Arrays may be of numpy or of any other library that supports the array API standard.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any, Literal, get_args
+
+from array_api_compat import array_namespace
+
+SubpixelWeights = Literal["measured", "uniform"]
+# Neighbours that differ in brightness by more than this factor belong to different surfaces: the edge of a
+# wall, not a gradient on it. The lobe of a rough wall changes by up to 6 % from pixel to pixel at 20 x 15.
+_EDGE = 1.25
+
+
+def weighted_reference(reference: Any, amplitude: Any) -> Any:
+    """The direct return `reference` of a Lambertian wall, for the wall that a measurement shows.
+
+    The light of a pixel comes over different paths. `reference` weights them as a Lambertian wall does. A
+    glossy wall is brighter on one side of the pixel than on the other, which changes the mean phase. The
+    brightness b of the wall, relative to `reference`, is known from the measured amplitudes: b = |z_0| /
+    |reference_0|. With its relative change per pixel s = ∇ log b, a place x of the pixel (from -1/2 to 1/2 in
+    both axes) has the weight 1 + s · x. Over a pixel the reference is proportional to exp(g · x), with
+    g = ∇ log reference, and the mean of x x' is 1/12, so that
+
+        weighted = reference (1 + s · g / 12).
+
+    Both gradients are central differences; at the border of the image, and for b beside an edge or a dark
+    pixel, they are one-sided. The hidden light takes part in b, with 0.2 % of it, and is smooth.
+
+    *Error.* The neglected terms fall with the fourth power of the pixel size (a test); what is left is in
+    docs/training.md, Rough walls. Noise of relative size σ in the amplitudes changes the phase by σ |g| / 17:
+    by less than σ / 40 at 40 x 30 pixels and 60 MHz, where |g| is at most 0.42.
+
+    Parameters
+    ----------
+    reference : (H, W, F) complex direct return of a Lambertian wall; or a capture of the empty corner, which
+        has the brightness of the measurement and therefore stays as it is.
+    amplitude : (..., H, W) measured |z_0|, in any unit.
+
+    Returns
+    -------
+    (..., H, W, F) complex, in the unit of `reference`.
+    """
+    xp = array_namespace(reference)
+    brightness = quotient(xp, xp.asarray(amplitude), xp.abs(reference[..., 0]))  # (..., H, W)
+    change = xp.zeros_like(reference)
+    for axis in (-1, -2):
+        along = _log_slope(xp, brightness, axis, _EDGE)[..., None]  # (..., H, W, 1)
+        change = change + along * _log_slope(xp, reference, axis - 1)  # (..., H, W, F)
+    return reference * (1 + change / 12)
+
+
+def quotient(xp: ModuleType, dividend: Any, divisor: Any) -> Any:
+    """`dividend` / `divisor`, 0 where the divisor is 0."""
+    defined = divisor != 0
+    quotient = dividend / xp.where(defined, divisor, xp.ones_like(divisor))
+    return xp.where(defined, quotient, xp.zeros_like(quotient))
+
+
+def check_weights(weights: str) -> None:
+    """Refuse anything but the names of `SubpixelWeights`."""
+    if weights not in get_args(SubpixelWeights):
+        raise ValueError(f"subpixel weights are {' or '.join(get_args(SubpixelWeights))}, got {weights!r}")
+
+
+def _log_slope(xp: ModuleType, values: Any, axis: int, largest_ratio: float | None = None) -> Any:
+    """Gradient of log(values) along an axis, per pixel; 0 where no neighbour can be compared.
+
+    Neighbours are compared if both are not 0 and their ratio is at most `largest_ratio`. All differences are
+    of second order where there are enough neighbours.
+    """
+    v = xp.moveaxis(values, axis, -1)
+    ratio = quotient(xp, v[..., 1:], v[..., :-1])  # (..., n - 1)
+    known = ratio != 0
+    step = xp.log(xp.where(known, ratio, xp.ones_like(ratio)))
+    if largest_ratio is not None:
+        known = known & (xp.exp(xp.abs(step)) <= largest_ratio)
+    none, unknown = xp.zeros_like(v[..., :1]), xp.zeros_like(v[..., :1], dtype=xp.bool)
+    before, after = (xp.concat(pair, axis=-1) for pair in ([none, step], [step, none]))  # (..., n)
+    has_before, has_after = (xp.concat(pair, axis=-1) for pair in ([unknown, known], [known, unknown]))
+    bend = xp.where(has_before & has_after, after - before, xp.zeros_like(v))
+    bend_before, bend_after = (
+        xp.concat(pair, axis=-1) for pair in ([none, bend[..., :-1]], [bend[..., 1:], none])
+    )
+    one_sided = xp.where(has_after, after - bend_after / 2, before + bend_before / 2)
+    slope = xp.where(has_before & has_after, (before + after) / 2, one_sided)
+    return xp.moveaxis(xp.where(has_before | has_after, slope, xp.zeros_like(v)), -1, axis)

@@ -1,0 +1,140 @@
+"""Whether a measurement file holds what the network of a run was trained on: light from its relay wall.
+
+`itof.wall.plausibility` judges one image; here all images of a file and its reference are judged together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from itof import amplitude
+from itof.wall.expected_wall import ExpectedWall
+from itof.wall.finding import Finding
+from itof.wall.plausibility import check_measurement, check_reference
+from model.prediction.check_result import FileFinding, MeasurementCheck, WallFound
+from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
+from model.prediction.predictor import Predictor, load
+from model.run_folder.run_config import RunError
+from model.settings import DeviceName
+from scenegen import PathLike
+from scenegen.progress import showing_progress
+
+OTHER_UNIT: Final = 10.0  # times the mean amplitude of the training scenes: far beyond what scenes differ by
+MOST_REFUSED: Final = 20  # images, after which the rest is not checked: a file of noise is refused in seconds
+
+
+class ImplausibleError(MeasurementError):
+    """A measurement is not that of the run's relay wall; predictions from it would be useless."""
+
+
+def check_file(run: PathLike, measurement_file: PathLike, *, device: DeviceName = "auto") -> MeasurementCheck:
+    """Compare a measurement file with the relay wall of a run, without a prediction.
+
+    Raises
+    ------
+    MeasurementError : as in `predict_file`, but not for what the check finds.
+    RunError, DeviceError : the run or the device cannot be used.
+    """
+    predictor = load(run, device)
+    measured = fitting_measurement(predictor, Path(measurement_file), Path(run))
+    return check_measured(predictor, measured, rescale=not measured.in_training_unit, thorough=True)
+
+
+def fitting_measurement(predictor: Predictor, file: Path, run: Path) -> Measurement:
+    """Read a measurement at the frequencies of the run; refuse another image size."""
+    config = predictor.config
+    measured = read_measurement(file).at(config.inputs.frequencies_hz)
+    height, width = measured.phasors.shape[1:3]
+    if (width, height) != (config.image_width, config.image_height):
+        raise MeasurementError(
+            f"{file} holds images of {width}x{height} pixels, {run} was trained on "
+            f"{config.image_width}x{config.image_height}: scale the images, or train a run at their size"
+        )
+    return measured
+
+
+def check_measured(
+    predictor: Predictor,
+    measured: Measurement,
+    *,
+    rescale: bool = False,
+    thorough: bool = False,
+    progress: bool = False,
+) -> MeasurementCheck:
+    """Compare every image of a measurement, and its reference, with the relay wall of the run.
+
+    Parameters
+    ----------
+    measured : at the frequencies of the run, with images of its size (`fitting_measurement`).
+    rescale : whether the amplitudes will be brought to those of the training scenes.
+    thorough : check every image, even if many of them or the reference are refused.
+    """
+    wall, names = expected_wall(predictor), [f"{index:06d}" for index in range(len(measured.phasors))]
+    walls: list[WallFound | None] = [None] * len(names)
+    found: list[tuple[Finding, str | None]] = []  # with the image's name; None for the reference
+    if measured.reference is not None:
+        found += [(finding, None) for finding in check_reference(measured.reference, wall)]
+    useless, most = sum(finding.refused for finding, _ in found), MOST_REFUSED
+    if useless and not thorough:
+        most = 0  # all images would be compared with a wrong reference
+    with showing_progress(len(names), "image", "check", show=progress and len(names) > 1) as bar:
+        for index, name in enumerate(names):
+            if useless > most and not thorough:
+                break
+            seen = check_measurement(measured.phasors[index], wall, measured.reference)
+            walls[index] = None if seen.wall is None else WallFound.of_fit(seen.wall)
+            findings = [*seen.findings, *([] if rescale else _unit(predictor, measured, index))]
+            found += [(finding, name) for finding in findings]
+            useless += any(finding.refused for finding in findings)
+            bar.update()
+    return MeasurementCheck(_joined(found), tuple(walls), measured.reference is not None, measured.ignored)
+
+
+def expected_wall(predictor: Predictor) -> ExpectedWall:
+    """The relay wall of a run, where its camera should see it.
+
+    Raises
+    ------
+    RunError : the camera of the run does not see a wall.
+    """
+    config, view = predictor.config, predictor.config.geometry
+    try:
+        return ExpectedWall.of_camera(
+            predictor.reference,
+            config.inputs.frequencies_hz,
+            view.horizontal_fov_deg,
+            view.camera_axes,
+            view.camera_location_m,
+            view.wall_point_m,
+            view.wall_normal,
+        )
+    except ValueError as error:
+        raise RunError(f"the geometry of the run cannot be: {error}") from None
+
+
+def _unit(predictor: Predictor, measured: Measurement, index: int) -> list[Finding]:
+    """Amplitudes far from those of the training, for a network that uses them."""
+    inputs = predictor.config.inputs
+    if "paper" not in inputs.channels:
+        return []
+    with np.errstate(over="ignore"):  # `Predictor.predict` refuses what is too large
+        times = float(amplitude(measured.phasors[index, ..., 0]).mean()) / inputs.amplitude_scale
+    if 1 / OTHER_UNIT < times < OTHER_UNIT:
+        return []
+    words = f"the mean amplitude is {times:.2g} times that of the training scenes: use --rescale?"
+    return [Finding("other-unit", words, False)]
+
+
+def _joined(found: Iterable[tuple[Finding, str | None]]) -> tuple[FileFinding, ...]:
+    """Findings of the same kind as one; their numbers differ from image to image."""
+    joined: dict[tuple[str, bool, bool], FileFinding] = {}
+    for finding, name in found:
+        kind = (finding.code, finding.refused, name is None)
+        before = joined.get(kind, FileFinding(finding.code, finding.sentence, finding.refused, ()))
+        images = before.images if name is None else (*before.images, name)
+        joined[kind] = FileFinding(before.code, before.sentence, before.refused, images)
+    return tuple(joined.values())

@@ -1,0 +1,115 @@
+"""The process that reads a user's measurement file (`model.prediction.measurement_process` starts it).
+
+It writes to its standard output: one line of JSON, then the bytes of the arrays, one after the other. The
+line is ``{"refusal": sentence}``, or ``{"arrays": [[name, number type, shape], ...], "names": [...]}`` with
+the names of all that the file has. It needs neither torch nor pydantic and starts in a fraction of a second.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import traceback
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof.exr import read_image
+from itof.exr_header import ImageFileError
+from itof.machine_memory import machine_bytes
+from model.prediction.array_claims import ARRAYS, RefusedError
+from model.prediction.npz_reading import read_npz
+
+Contents = tuple[dict[str, NDArray[Any]], list[str]]
+_CPU_SECONDS = (
+    60  # for any file, and one more for every megabyte: reading an honest file takes a tenth of that
+)
+_OUR_CHANNELS: Final = ("itof.", "direct.", "hidden.")  # of the images that night-render writes
+
+
+def main() -> None:
+    """Read the file that the first argument names and write its contents to the standard output."""
+    path = Path(sys.argv[1])
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not get between the arrays
+    try:
+        _limit_itself(path)
+        found, names = read_arrays(path)
+    except RefusedError as error:
+        _send(out, {"refusal": str(error)})
+    else:
+        arrays = {
+            name: np.asarray(values, values.dtype.newbyteorder("="), order="C")
+            for name, values in found.items()
+        }
+        head = [[name, values.dtype.str, values.shape] for name, values in arrays.items()]
+        _send(out, {"arrays": head, "names": names}, *arrays.values())
+
+
+def _limit_itself(path: Path) -> None:
+    """Take no more memory than the machine has, no endless time, and leave no core dump."""
+    used = Path("/proc/self/statm")  # of Linux
+    pages = int(used.read_text(encoding="ascii").split()[0]) if used.exists() else 0
+    _lower(resource.RLIMIT_AS, pages * os.sysconf("SC_PAGE_SIZE") + machine_bytes())
+    _lower(resource.RLIMIT_CPU, _CPU_SECONDS + path.stat().st_size // 10**6)
+    _lower(resource.RLIMIT_CORE, 0)
+
+
+def _lower(limit: int, value: int) -> None:
+    hard = resource.getrlimit(limit)[1]
+    if hard == resource.RLIM_INFINITY or value < hard:
+        resource.setrlimit(limit, (value, hard))
+
+
+def read_arrays(path: Path) -> Contents:
+    """The arrays of a measurement file, and the names of all that it has.
+
+    Raises
+    ------
+    RefusedError : the file cannot be read, whatever happens; the message is one sentence that names it.
+    """
+    try:
+        return _read(path)
+    except RefusedError:
+        raise
+    except ImageFileError as error:
+        raise RefusedError(str(error)) from None
+    except MemoryError:
+        raise RefusedError(f"{path} does not fit into the memory that is free: write smaller files") from None
+    except Exception as error:  # of any kind: only a damaged file can cause it
+        if os.environ.get("NIGHT_TRACEBACK"):
+            traceback.print_exc()
+        reason = f"{type(error).__name__}: {error}"
+        raise RefusedError(f"{path} cannot be read: it is damaged ({reason}); write it again") from None
+
+
+def _read(path: Path) -> Contents:
+    if path.suffix.lower() == ".exr":
+        return _read_exr(path)
+    if path.suffix.lower() == ".npz":
+        return read_npz(path, ARRAYS)
+    from model.prediction.hdf5_reading import read_hdf5
+
+    return read_hdf5(path, ARRAYS)
+
+
+def _read_exr(path: Path) -> Contents:
+    image = read_image(path, advice="write it again with the program that made it")
+    try:
+        phasors, frequencies_hz = image.phasors()  # (H, W, F)
+    except ImageFileError as error:
+        raise RefusedError(f"{path} holds no phasors: {error}") from None
+    others = [name for name in image.channels if not name.startswith(_OUR_CHANNELS)]
+    arrays = {"phasors": phasors, "frequencies_hz": np.array(frequencies_hz)}
+    return arrays, [*arrays, *others]
+
+
+def _send(out: BinaryIO, head: dict[str, Any], *arrays: NDArray[Any]) -> None:
+    with out:
+        out.write(json.dumps(head).encode("ascii") + b"\n")
+        for values in arrays:
+            out.write(values.data)

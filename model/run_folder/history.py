@@ -1,0 +1,116 @@
+"""``history.csv`` of a run folder: losses and metrics of every epoch.
+
+The last column of a line, ``crc32``, is the CRC-32 of all bytes of the file before it, as eight hexadecimal
+digits. It also covers the lines above. Lines end with a carriage return and a line feed.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Final
+
+from model.run_folder.checksums import read_at_most
+from model.run_folder.run_config import RunError
+from scenegen import whole_file
+
+HISTORY_FILE: Final = "history.csv"
+CHECK: Final = "crc32"
+_END: Final = b"\r\n"
+_MOST_BYTES: Final = 2**28
+
+
+@dataclass(frozen=True)
+class EpochRecord:
+    """One line of ``history.csv``: losses, and metrics of the radial depth on the validation scenes."""
+
+    epoch: int
+    learning_rate: float
+    train_loss: float
+    validation_loss: float
+    validation_mae_cm: float
+    validation_miou: float
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether a training can have written these values; for records that were read from a file."""
+        numbers = [getattr(self, name) for name in COLUMNS[1:]]
+        return (
+            type(self.epoch) is int
+            and all(type(number) is float and 0 <= number < math.inf for number in numbers)
+            and self.validation_miou <= 1 + 1e-6  # and rounding
+        )
+
+
+COLUMNS: Final = tuple(field.name for field in fields(EpochRecord))
+
+
+def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
+    """Write ``history.csv``."""
+    content = bytearray(",".join((*COLUMNS, CHECK)).encode() + _END)
+    check = zlib.crc32(content)
+    for record in history:
+        line = "".join(f"{getattr(record, name)}," for name in COLUMNS).encode()
+        check = zlib.crc32(line, check)
+        line_end = f"{check:08x}".encode() + _END
+        check = zlib.crc32(line_end, check)
+        content += line + line_end
+    with whole_file(folder / HISTORY_FILE) as partial:
+        partial.write_bytes(content)
+
+
+def read_history(run: Path) -> dict[str, list[float]]:
+    """Columns of a run's ``history.csv`` by name; empty if the file does not exist.
+
+    Runs of schema 2 have no checksums in this file.
+
+    Raises
+    ------
+    RunError : the file is damaged.
+    """
+    file = run / HISTORY_FILE
+    try:
+        return _columns(read_at_most(file, _MOST_BYTES))
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise RunError(
+            f"{file} is damaged ({error}): write it again with night-train --resume, or delete it, which "
+            "leaves the training curves out of the report"
+        ) from None
+
+
+def _columns(content: bytes) -> dict[str, list[float]]:
+    """The columns without the checksums; `ValueError` says what is wrong."""
+    head, *lines = content.split(_END)
+    if not lines or lines.pop() != b"":
+        raise ValueError("its last line has no end")
+    names = [*COLUMNS, CHECK]
+    if head not in (",".join(names).encode(), ",".join(COLUMNS).encode()):
+        raise ValueError("its first line is not that of a history")
+    is_checked = head.endswith(CHECK.encode())
+    check = zlib.crc32(head + _END)
+    columns: dict[str, list[float]] = {name: [] for name in COLUMNS} if lines else {}
+    for number, line in enumerate(lines, start=1):
+        values, comma, digits = line.rpartition(b",") if is_checked else (line, b"", b"")
+        check = zlib.crc32(values + comma, check)
+        if is_checked and digits != f"{check:08x}".encode():
+            raise ValueError(f"the checksum of epoch {number} is wrong")
+        check = zlib.crc32(digits + _END, check)
+        for name, value in zip(COLUMNS, values.split(b","), strict=True):
+            columns[name].append(_finite(value))
+        if columns["epoch"][-1] != number:
+            raise ValueError(f"epoch {number} is missing")
+    return columns
+
+
+def _finite(text: bytes) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is no loss or metric")
+    return value

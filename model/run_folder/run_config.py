@@ -1,0 +1,180 @@
+"""``run.json`` of a run folder: settings, input channels, geometry and data of a training.
+
+Its last key, ``sha256``, is the checksum of the whole file (`model.run_folder.checksums`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import torch
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from model.network.channels import InputSpec
+from model.network.readout import Readout
+from model.network.unet import UNet
+from model.network.wall_view import WallView
+from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
+from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
+from scenegen import NightError, PathLike, whole_file
+from scenegen.contract import STRICT, Positive, checked
+
+RUN_SCHEMA: Final = 3
+LABELLED_SINCE: Final = 3  # schema version from which on files contain their checksum
+CONFIG_FILE: Final = "run.json"
+_MARK: Final = ',\n  "sha256": "'
+_END: Final = '"\n}\n'
+_MOST_BYTES: Final = 2**20
+_REPAIR: Final = "take the file from a copy of the run, or train again"
+
+Pixels = Annotated[int, Field(ge=1, le=2**16)]
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class RunError(NightError):
+    """The run folder is missing, damaged, in use, or not a run of this schema version."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class RunConfig:
+    """Contents of ``run.json``.
+
+    Attributes
+    ----------
+    settings : settings of the training.
+    inputs : input channels and their constants, which were fitted to the training scenes.
+    output_frequency_hz : modulation frequency of the predicted phasor, Hz; the first of the dataset.
+    geometry : camera and relay wall, from which the direct return is computed.
+    image_width, image_height : size of the training images, pixels.
+    preset_sha256 : hash of the dataset's resolved preset.
+    data_sha256 : hash of the scenes, splits and renders of the dataset.
+    night_version : version of the program that trained the network.
+    run_id : `run_id_of` the run when it began, which weights and checkpoint repeat; None in schema 2.
+    """
+
+    settings: TrainSettings
+    inputs: InputSpec
+    output_frequency_hz: Positive
+    geometry: WallView
+    image_width: Pixels
+    image_height: Pixels
+    preset_sha256: str
+    data_sha256: str
+    night_version: str
+    run_id: Sha256 | None = None
+    schema_version: Literal[2, 3] = RUN_SCHEMA
+
+    @property
+    def readout(self) -> Readout:
+        """Reads mask and depth from the output of this run's network."""
+        settings = self.settings
+        return Readout(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone)
+
+    def network(self, generator: torch.Generator | None = None) -> UNet:
+        """A network of this run's architecture with initial weights."""
+        return UNet(self.inputs.channel_count, self.settings.width, generator=generator)
+
+
+def run_id_of(config: RunConfig) -> str:
+    """SHA-256 of all that decides the weights and cannot change when the run is resumed.
+
+    Two runs with the same settings on the same data have the same id; their weights are interchangeable.
+    """
+    content = TypeAdapter(RunConfig).dump_python(config, mode="json")
+    for name in ("night_version", "run_id", "schema_version"):
+        del content[name]
+    for name in _may_change(config.settings):
+        del content["settings"][name]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def write_config(folder: Path, config: RunConfig) -> None:
+    """Write ``run.json``."""
+    text = TypeAdapter(RunConfig).dump_json(config, indent=2).decode().removesuffix("\n}")
+    content = with_checksum(f"{text}{_MARK}{ZEROS}{_END}".encode(), _MARK)
+    with whole_file(folder / CONFIG_FILE) as partial:
+        partial.write_bytes(content)
+
+
+def read_config(folder: Path) -> RunConfig:
+    """Read ``run.json``. That of schema 2 has no checksum.
+
+    Raises
+    ------
+    RunError : the folder is missing or not a run, or ``run.json`` is damaged, invalid or of another schema
+        version.
+    """
+    file = folder / CONFIG_FILE
+    if not folder.is_dir():
+        raise RunError(f"there is no folder {folder}: train a network with night-train")
+    if not file.is_file():
+        raise RunError(f"{folder} is no training run (it has no run.json): train one with night-train")
+    try:
+        content = read_at_most(file, _MOST_BYTES)
+    except (OSError, ValueError) as error:
+        raise RunError(f"{file} cannot be read: {error}") from None
+    text = _without_checksum(content)
+    if text is None and _MARK.encode() in content:
+        raise RunError(f"{file} is damaged or was edited (wrong checksum): {_REPAIR}")
+    schema = _schema_version(text or content, file)
+    if schema not in (2, RUN_SCHEMA):
+        raise RunError(
+            f"{file} has schema version {schema}, this program reads version {RUN_SCHEMA}: "
+            "train again, or use the version of NIGHT that made it"
+        )
+    if (text is None) != (schema < LABELLED_SINCE):
+        raise RunError(f"{file} is damaged or was edited (no checksum): {_REPAIR}")
+    config: RunConfig = checked(TypeAdapter(RunConfig), text or content, str(file), RunError)
+    if (config.run_id is None) != (schema < LABELLED_SINCE):
+        raise RunError(f"{file} has no run_id that goes with schema version {schema}: {_REPAIR}")
+    return config
+
+
+def _without_checksum(content: bytes) -> bytes | None:
+    """The text that a right checksum vouches for; None if there is no such checksum."""
+    start = content.rfind(_MARK.encode())
+    is_last = content.endswith(_END.encode()) and start + len(_MARK + ZEROS + _END) == len(content)
+    return content[:start] + b"\n}" if is_last and has_right_checksum(content, _MARK) else None
+
+
+def _schema_version(text: bytes, file: Path) -> Any:
+    try:
+        return TypeAdapter(dict[str, Any]).validate_json(text).get("schema_version")
+    except ValidationError:
+        raise RunError(f"{file} is not the JSON of a run: {_REPAIR}") from None
+
+
+def run_settings(folder: PathLike) -> dict[str, Any]:
+    """The settings of a run as plain data for `settings_from_dict`, with which the run can be resumed.
+
+    Raises
+    ------
+    RunError : as in `read_config`.
+    """
+    settings: dict[str, Any] = TypeAdapter(TrainSettings).dump_python(read_config(Path(folder)).settings)
+    return settings
+
+
+def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
+    """The first difference that prevents resuming `before` as `now`, in words; None if there is none."""
+    may_change = _may_change(before.settings)
+    for field in fields(TrainSettings):
+        old, new = getattr(before.settings, field.name), getattr(now.settings, field.name)
+        if field.name not in may_change and old != new:
+            why = " (the learning rate's schedule ends with it)" if field.name == "max_epochs" else ""
+            return f"{field.name} was {old} and is now {new}{why}"
+    if before.data_sha256 != now.data_sha256:
+        return "the dataset is not the one that the run began with"
+    return None
+
+
+def _may_change(settings: TrainSettings) -> frozenset[str]:
+    """Names of the settings that may be others when the run is resumed."""
+    if settings.schedule == "constant":
+        return MAY_CHANGE_ON_RESUME
+    return MAY_CHANGE_ON_RESUME - {"max_epochs"}  # the learning rate of every epoch depends on it

@@ -1,0 +1,69 @@
+"""NIGHT: its version, and the four programs that pip installs.
+
+The other top-level modules (`cli`, `model`, `render`, ...) have common names. A module or folder of the same
+name that comes first on Python's module search path, for example through PYTHONPATH, would be imported in
+their place. Each program therefore first looks where all of them would come from, without running them.
+"""
+
+import sys
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+__all__ = ["__version__", "night_eval", "night_gen", "night_render", "night_train"]
+
+__version__ = version("night-nlos")
+_MODULES = ("cli", "commandline", "scenegen", "itof", "render", "model")
+_WRONG_INSTALLATION = 2  # exit code, as for everything that the user can change
+
+
+def foreign_module() -> str | None:
+    """A sentence about the first of our modules that would not come from this file's folder; else None."""
+    home = Path(__file__).resolve().parent
+    for name in _MODULES:
+        spec = find_spec(name)
+        places = [] if spec is None else [spec.origin] if spec.origin else spec.submodule_search_locations
+        if not places:
+            return f"the module {name} of NIGHT is missing: install NIGHT again"
+        place = Path(str(next(iter(places)))).resolve()
+        if place not in (home / f"{name}.py", home / name / "__init__.py"):
+            return (
+                f"{place} would be imported in place of NIGHT's own module {name} in {home}: rename it, or "
+                "take its folder off Python's module search path (PYTHONPATH)"
+            )
+    return None
+
+
+def _run(program: str) -> None:
+    """Run a click command of `cli`."""
+    sentence = foreign_module()
+    if sentence is not None:
+        if sys.stderr is not None:  # it was not closed, as by 2>&-
+            sys.stderr.write(f"Error: {sentence}\n")
+        sys.exit(_WRONG_INSTALLATION)
+    from commandline.surroundings import prepare_process
+
+    prepare_process()
+    import cli
+
+    getattr(cli, program)()
+
+
+def night_gen() -> None:
+    """Run the program ``night-gen``."""
+    _run("night_gen")
+
+
+def night_render() -> None:
+    """Run the program ``night-render``."""
+    _run("night_render")
+
+
+def night_train() -> None:
+    """Run the program ``night-train``."""
+    _run("night_train")
+
+
+def night_eval() -> None:
+    """Run the program ``night-eval``."""
+    _run("night_eval")

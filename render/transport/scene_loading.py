@@ -1,0 +1,140 @@
+"""Loads a scene into Mitsuba from its data: ``scene.json`` and its meshes.
+
+Mitsuba opens no file of a scene: a scene file can name any plugin and any other file. NIGHT's own plain
+readers read the meshes and the projector's image.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen import Dataset, NightError
+from scenegen.mitsuba_description import Description, mirrored_description, seen_description
+from scenegen.scene_folder import read_scene_folder, scene_of
+from scenegen.triangles import scene_triangles
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+_kept: dict[tuple[str | None, str], mi.BSDF] = {}
+_PFM = re.compile(rb"Pf\n([0-9]{1,5}) ([0-9]{1,5})\n-1\.0\n", re.ASCII)
+
+
+class SceneLoadingError(NightError):
+    """A scene has a file that is missing or damaged, or that Mitsuba cannot use."""
+
+
+def load_scene(dataset: Dataset, scene_id: str, *, mirrored: bool = False) -> mi.Scene:
+    """The scene of a dataset as its files are, or its mirrored scene.
+
+    Raises
+    ------
+    NightError : a file is missing or damaged.
+    """
+    folder = dataset.scene_folder(scene_id)
+    files = read_scene_folder(folder)
+    scene = scene_of(files, folder)
+    return scene_from_data((mirrored_description if mirrored else seen_description)(scene), files, folder)
+
+
+def scene_from_data(description: Description, files: Mapping[str, bytes], folder: Path) -> mi.Scene:
+    """Load a description into Mitsuba.
+
+    Parameters
+    ----------
+    description : scene from `scenegen.mitsuba_description`.
+    files : contents of the files that it names.
+    folder : where the files are, for the message of an error.
+
+    Raises
+    ------
+    SceneLoadingError, MeshError : a file is missing or damaged, or Mitsuba cannot use the scene.
+    """
+    import mitsuba as mi
+
+    try:
+        bsdfs = {
+            f"{name}": _bsdf(part)
+            for name, part in description.items()
+            if isinstance(part, dict) and part["type"] == "twosided"
+        }
+        parts: dict[str, Any] = {}
+        for name, part in description.items():
+            if name in bsdfs:
+                continue
+            if isinstance(part, dict) and part["type"] == "ply":
+                contents = _file(files, part["filename"], folder)
+                bsdf = bsdfs[part["bsdf"]["id"]]
+                parts[name] = _mesh(name, *scene_triangles(contents, str(folder / part["filename"])), bsdf)
+            else:
+                parts[name] = _loadable(part, files, folder)
+        # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
+        return mi.load_dict(parts, optimize=False)
+    except RuntimeError as error:
+        raise SceneLoadingError(f"Mitsuba cannot load {folder}: {' '.join(str(error).split())}") from None
+
+
+def _bsdf(part: dict[str, Any]) -> mi.BSDF:
+    """A BSDF; that of the last rough wall is kept, because Mitsuba takes 25 ms to make one."""
+    import mitsuba as mi
+
+    if not any(isinstance(inner, dict) and inner["type"] == "roughplastic" for inner in part.values()):
+        return mi.load_dict(part)
+    key = (mi.variant(), json.dumps(part, sort_keys=True))
+    if key not in _kept:
+        _kept.clear()  # first, because DrJit numbers all BSDFs that exist
+        _kept[key] = mi.load_dict(part)
+    return _kept[key]
+
+
+def _mesh(name: str, vertices: NDArray[np.float32], triangles: NDArray[np.uint32], bsdf: mi.BSDF) -> mi.Mesh:
+    import mitsuba as mi
+
+    properties = mi.Properties()
+    properties["face_normals"] = True
+    properties["bsdf"] = bsdf
+    properties.set_id(name)
+    mesh = mi.Mesh(name, len(vertices), len(triangles), props=properties)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = mi.Float(vertices.ravel())
+    parameters["faces"] = mi.UInt32(triangles.ravel())
+    parameters.update()
+    return mesh
+
+
+def _loadable(part: Any, files: Mapping[str, bytes], folder: Path) -> Any:
+    """A part of a description with Mitsuba's own objects for poses and images."""
+    import mitsuba as mi
+
+    if isinstance(part, list):
+        return mi.ScalarTransform4f(np.array(part))
+    if not isinstance(part, dict):
+        return part
+    if part["type"] == "bitmap":
+        name = part["filename"]
+        image = mi.Bitmap(_pixels(_file(files, name, folder), folder / name))
+        part = {key: value for key, value in part.items() if key != "filename"} | {"bitmap": image}
+    return {key: _loadable(value, files, folder) for key, value in part.items()}
+
+
+def _pixels(contents: bytes, file: Path) -> NDArray[np.float32]:
+    """(H, W, 1) a portable float map of one channel, in the form of `emitter_pfm`."""
+    header = _PFM.match(contents)
+    size = (int(header[2]), int(header[1])) if header else (0, 0)
+    if header is None or len(contents) != header.end() + 4 * size[0] * size[1] or 0 in size:
+        raise SceneLoadingError(f"{file} is damaged: run night-gen scenes again")
+    rows = np.frombuffer(contents, "<f4", offset=header.end()).reshape(*size, 1)
+    return np.ascontiguousarray(rows[::-1], np.float32)  # the last row comes first
+
+
+def _file(files: Mapping[str, bytes], name: str, folder: Path) -> bytes:
+    if name not in files:
+        raise SceneLoadingError(f"{folder / name} is missing: run night-gen scenes again")
+    return files[name]

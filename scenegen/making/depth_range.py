@@ -1,0 +1,98 @@
+"""Whether the first frequency of a preset can represent every depth of its mirrored scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+from math import floor, hypot, log10
+
+import numpy as np
+from scipy.constants import speed_of_light
+
+from scenegen.contract import Extent
+from scenegen.making.meshes import UserMesh
+from scenegen.pose import wall_normal
+from scenegen.preset import HiddenObjectSettings, Preset
+from scenegen.preset_files import PresetError
+from scenegen.scene import Wall
+from scenegen.shapes import Shape
+
+_ROUNDING = 1e-6  # relative, of float32 coordinates
+
+
+def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UserMesh]) -> None:
+    """Refuse a preset whose scenes can have mirrored depths outside the reference frequency's range.
+
+    The ground truth is a phasor at the first frequency f. Its phase gives depths between 0 and c / 2f; those
+    beyond would come back as smaller ones, and a perfect prediction would count as wrong by metres.
+
+    Parameters
+    ----------
+    meshes : the mesh files that the preset's shapes name, by shape.
+
+    Raises
+    ------
+    PresetError : a depth can be c / 2f or more, or 0 because the camera is not in front of the relay wall.
+    """
+    wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
+    gap_m = float((camera_m - wall.location_m) @ wall_normal(wall))
+    if gap_m <= 0:
+        raise PresetError(
+            f"camera.location_m is {-gap_m:g} m behind the front of the relay wall, which the camera must "
+            "see: move the camera or turn the wall with relay_wall.rotation_deg"
+        )
+    depth_m, first_hz = largest_mirrored_depth_m(preset, meshes), preset.itof.frequencies_hz[0]
+    range_m = speed_of_light / (2 * first_hz)
+    if range_m <= depth_m * (1 + _ROUNDING):
+        raise PresetError(
+            f"itof.frequencies_hz: the first, {first_hz / 1e6:g} MHz, represents depths below "
+            f"{range_m:.4g} m, and mirrored hidden objects can be up to {depth_m:.4g} m from the camera: put "
+            f"a lower frequency first, at most {_highest_hz(depth_m) / 1e6:g} MHz"
+        )
+
+
+def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UserMesh]) -> float:
+    """Upper bound of the distance between the camera and the mirror image of any hidden object, metres.
+
+    That distance is the one between the camera's mirror image and the object. The bound is the largest one
+    to the range of the objects' centres, at a corner of this box, plus the largest radius about a centre.
+    It is attained if all rotations are allowed.
+    """
+    wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
+    normal = wall_normal(wall)
+    mirrored_m = camera_m - 2 * ((camera_m - wall.location_m) @ normal) * normal  # (3,)
+    settings = preset.hidden_object
+    location = settings.location_m
+    ranges = np.array([location.x, location.y, location.z])  # (3, 2)
+    if settings.composite_fraction > 0:
+        offset = np.array(settings.composite_offset_m)
+        ranges = ranges + np.array([min(offset[0], 0), max(offset[1], 0)])  # of the first and the second part
+    corners = np.array(list(product(*ranges)))  # (8, 3)
+    farthest_m = float(np.linalg.norm(corners - mirrored_m, axis=1).max())
+    return farthest_m + max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
+
+
+def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UserMesh]) -> float:
+    """Largest distance of a point of a shape from its centre, metres."""
+    size_m: Extent = settings.size_m.of(shape)
+    x, y, z = size_m
+    if shape in meshes:
+        return meshes[shape].radius * x  # x is the longest side, which the mesh has as 1
+    if shape == "sphere":
+        return max(size_m) / 2
+    if shape in ("cylinder", "cone"):
+        return hypot(max(x, y), z) / 2
+    return hypot(x, y, z) / 2
+
+
+def _relay_wall(preset: Preset) -> Wall:
+    wall = preset.relay_wall
+    return Wall(wall.size_m, wall.location_m, wall.rotation_deg)
+
+
+def _highest_hz(depth_m: float) -> float:
+    """The highest frequency of three digits whose range contains `depth_m`."""
+    limit_hz = speed_of_light / (2 * depth_m * (1 + _ROUNDING))
+    digits = 2 - floor(log10(limit_hz))
+    frequency_hz = floor(limit_hz * 10**digits) / 10**digits
+    return frequency_hz if frequency_hz < limit_hz else frequency_hz - 10**-digits

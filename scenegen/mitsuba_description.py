@@ -1,0 +1,147 @@
+"""A scene in Mitsuba's terms, as plain data: nested dictionaries in the form of Mitsuba's `load_dict`.
+
+They differ from it in two ways: a pose is a list of four rows, and file names are relative to the scene's
+folder. ``night-render`` loads this description (`render.transport.scene_loading`); ``scene.xml`` and
+``mirrored.xml`` are the same description as text for plain Mitsuba (`scenegen.mitsuba_xml`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import gcd
+from typing import Any
+
+import numpy as np
+
+from scenegen.contract import Vector
+from scenegen.pose import blender_matrix
+from scenegen.scene import Camera, Emitter, RelayWall, Scene
+
+Description = Mapping[str, Any]
+EMITTER_IMAGE = "emitter.pfm"  # Mitsuba takes the projector's aspect ratio from this image
+# The projector's field of view is wider than the camera's by this angle. With equal angles, rounding loses
+# about one path in a thousand at the image border, and that is half of the hidden signal there.
+_FRUSTUM_MARGIN_DEG = 1e-3
+_TO_MITSUBA_CAMERA = np.diag([-1.0, 1.0, -1.0, 1.0])  # Blender looks along -z, Mitsuba along +z with x left
+
+
+def hidden_names(scene: Scene) -> list[str]:
+    """Names of the hidden objects, and of their mesh files without ``.ply``."""
+    return [f"hidden_object_{number}" for number in range(len(scene.hidden_objects))]
+
+
+def mirrored_names(scene: Scene) -> dict[str, str]:
+    """Names of the meshes that are mirrored at the relay wall's plane, by those of their mirror images."""
+    names = hidden_names(scene) + ["middle_wall"] * scene.mirror_occluders
+    return {f"mirrored_{name}": name for name in names}
+
+
+def seen_description(scene: Scene) -> Description:
+    """What the camera measures: both walls and the hidden objects."""
+    hidden = dict.fromkeys(hidden_names(scene), "hidden_object")
+    meshes = {"relay_wall": "relay_wall", "middle_wall": "middle_wall", **hidden}
+    return _description(scene, meshes, scene.max_bounces)
+
+
+def mirrored_description(scene: Scene) -> Description:
+    """The scene of the ground truth: without relay wall, the hidden objects mirrored at its plane.
+
+    Like a real mirror, a scene with `mirror_occluders` also has the mirror image of the middle wall.
+    """
+    mirrored = {
+        image: "middle_wall" if name == "middle_wall" else "hidden_object"
+        for image, name in mirrored_names(scene).items()
+    }
+    return _description(scene, {"middle_wall": "middle_wall", **mirrored}, 1)
+
+
+def emitter_pfm(camera: Camera) -> bytes:
+    """A portable float map of ones, of the smallest size that has the camera's aspect ratio."""
+    width, height = _emitter_size(camera)
+    return f"Pf\n{width} {height}\n-1.0\n".encode() + np.ones((height, width), "<f4").tobytes()
+
+
+def is_emitter_pfm(contents: bytes, camera: Camera) -> bool:
+    """Whether `contents` are `emitter_pfm` of a camera, which need not be made for that if it is huge."""
+    width, height = _emitter_size(camera)
+    return len(contents) > 4 * width * height and contents == emitter_pfm(camera)
+
+
+def _description(scene: Scene, meshes: Mapping[str, str], max_bounces: int) -> Description:
+    """The scene with `meshes`: the material of each, by the name of its file without ``.ply``."""
+    materials = {name: _material(name, scene) for name in sorted(set(meshes.values()))}
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": max_bounces + 1},  # counts the edges after the first one
+        "sensor": _sensor(scene.camera),
+        "emitter": _projector(scene.emitter),
+        **{f"{name}_bsdf": {"type": "twosided", "bsdf": inner} for name, inner in materials.items()},
+        **{name: _mesh(name, material) for name, material in meshes.items()},
+    }
+
+
+def _emitter_size(camera: Camera) -> tuple[int, int]:
+    divisor = gcd(camera.width, camera.height)
+    return camera.width // divisor, camera.height // divisor
+
+
+def _mesh(name: str, material: str) -> Description:
+    return {
+        "type": "ply",
+        "filename": f"{name}.ply",
+        "face_normals": True,  # no smooth shading
+        "bsdf": {"type": "ref", "id": f"{material}_bsdf"},
+    }
+
+
+def _sensor(camera: Camera) -> Description:
+    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "luminance"}
+    return {
+        "type": "perspective",
+        "fov_axis": "x",
+        "fov": camera.horizontal_fov_deg,
+        "to_world": _pose(camera.location_m, camera.rotation_deg),
+        "film": {**film, "rfilter": {"type": "box"}},
+        "sampler": {"type": "independent", "sample_count": 64},
+    }
+
+
+def _projector(emitter: Emitter) -> Description:
+    return {
+        "type": "projector",
+        "fov_axis": "x",
+        "fov": emitter.horizontal_fov_deg + _FRUSTUM_MARGIN_DEG,
+        "scale": emitter.irradiance,
+        "to_world": _pose(emitter.location_m, emitter.rotation_deg),
+        "irradiance": {
+            "type": "bitmap",
+            "filename": EMITTER_IMAGE,
+            "raw": True,
+            "filter_type": "nearest",
+            "wrap_mode": "clamp",
+        },
+    }
+
+
+def _material(name: str, scene: Scene) -> Description:
+    if name == "relay_wall":
+        return _relay_wall(scene.relay_wall)
+    # All hidden objects of a scene share one reflectance; the middle wall is black.
+    return _diffuse(scene.hidden_objects[0].reflectance if name == "hidden_object" else 0.0)
+
+
+def _relay_wall(wall: RelayWall) -> Description:
+    if wall.roughness is None:
+        return _diffuse(wall.reflectance)
+    reflectance = {"type": "spectrum", "value": wall.reflectance}
+    return {"type": "roughplastic", "alpha": wall.roughness, "diffuse_reflectance": reflectance}
+
+
+def _diffuse(reflectance: float) -> Description:
+    return {"type": "diffuse", "reflectance": {"type": "spectrum", "value": reflectance}}
+
+
+def _pose(location_m: Vector, rotation_deg: Vector) -> list[list[float]]:
+    """Four rows, rounded to the nine digits of the text form, so that both forms are the same numbers."""
+    matrix = blender_matrix(location_m, rotation_deg) @ _TO_MITSUBA_CAMERA + 0.0  # no -0
+    return [[float(f"{value:.9g}") for value in row] for row in matrix]

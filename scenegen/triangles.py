@@ -1,0 +1,67 @@
+"""The triangles of a mesh file, read without running anything that the file names, and checked."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen.night_error import NightError
+
+MAX_TRIANGLES = 2_000_000  # a PLY file of 26 MB; Blender needs seconds for it
+_FARTHEST_M = 1e6  # of a vertex of a scene: positions are within 1000 m of the origin
+
+
+class MeshError(NightError):
+    """A mesh file that is missing, cannot be read, or contains no surface."""
+
+
+def read_triangles(contents: bytes, kind: str, origin: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (V, 3) and triangles (T, 3) of a mesh file, in the order of the file.
+
+    Parameters
+    ----------
+    kind : format, a name of trimesh such as ``ply``.
+    origin : name of the file, for the message of an error.
+
+    Raises
+    ------
+    MeshError : the file is damaged, has no triangles, more than two million, triangles of vertices that it
+        does not have, or coordinates that are not finite.
+    """
+    import trimesh
+
+    options = {"skip_materials": True} if kind == "ply" else {}  # a comment may name a picture
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(contents), file_type=kind, process=False, **options)
+        vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
+        triangles = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+    except MemoryError:
+        raise
+    except Exception as error:  # trimesh's parsers raise errors of any class on damaged files
+        raise MeshError(f"mesh {origin} cannot be read as {kind.upper()}: {error}") from None
+    if len(triangles) == 0:
+        raise MeshError(f"mesh {origin} has no triangles")
+    if len(triangles) > MAX_TRIANGLES:
+        raise MeshError(
+            f"mesh {origin} has {len(triangles)} triangles: simplify it to at most {MAX_TRIANGLES}"
+        )
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise MeshError(f"mesh {origin} is damaged: its faces name vertices that it does not have")
+    if not np.isfinite(vertices).all():
+        raise MeshError(f"mesh {origin} has vertices that are infinite or not a number")
+    return vertices, triangles
+
+
+def scene_triangles(contents: bytes, origin: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Vertices (V, 3), metres, and triangles (T, 3) of the PLY file of a scene.
+
+    Raises
+    ------
+    MeshError : as `read_triangles`, or a vertex is farther than 1000 km from the origin.
+    """
+    vertices, triangles = read_triangles(contents, "ply", origin)
+    if np.abs(vertices).max() > _FARTHEST_M:
+        raise MeshError(f"mesh {origin} has vertices farther than {_FARTHEST_M:g} m from the origin")
+    return vertices.astype(np.float32), triangles.astype(np.uint32)

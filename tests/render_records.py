@@ -1,0 +1,16 @@
+"""Records of renders that a test has changed."""
+
+import dataclasses
+
+from scenegen import FileRecord, RenderRecord, read_record, sha256_of, write_record
+
+NEW = RenderRecord(recipe="{}", attributes={}, files={})
+
+
+def record_anew(folder):
+    """Record the EXR files of a render folder as they are now, as a program would that wrote them wrong."""
+    files = {
+        file.name: FileRecord(bytes=file.stat().st_size, sha256=sha256_of(file))
+        for file in folder.glob("*.exr")
+    }
+    write_record(folder, dataclasses.replace(read_record(folder) or NEW, files=files))

@@ -1,0 +1,78 @@
+"""Full disks: what is made of renders is whole or not there, and one sentence names the file."""
+
+import shlex
+
+import pytest
+from full_disk import can_mount, file_size_limit, on_small_disk
+from night_commands import words
+
+from render.products.conversion import ExportError, convert_to_itof, open_transient
+from render.products.movie import MovieOptions, write_movie
+from render.products.patient_file import PatientFile
+from render.products.tal_export import export_tal
+
+
+def film(dataset, file):
+    with open_transient(dataset, "000000") as transient:
+        write_movie(transient, file, MovieOptions(max_frames=3, min_width=240))
+
+
+WRITERS = {
+    "000000_itof.exr": lambda data, file: convert_to_itof(data, "000000", file.parent),
+    "capture.hdf5": lambda data, file: export_tal(data, "000000", file),
+    "film.gif": film,
+    "film.mp4": film,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_file_that_found_no_room_is_named_and_leaves_nothing(transient_dataset, tmp_path, name):
+    (tmp_path / "whole").mkdir()
+    WRITERS[name](transient_dataset, tmp_path / "whole" / name)
+    size = (tmp_path / "whole" / name).stat().st_size
+    limits = (0, size // 2, size - 1) if name == "film.mp4" else (0, 1, 600, 3000, size // 2, size - 1)
+    for limit in limits:
+        folder = tmp_path / str(limit)
+        with file_size_limit(limit), pytest.raises(ExportError) as refused:
+            WRITERS[name](transient_dataset, folder / name)
+        assert str(refused.value) == f"cannot write {folder / name}: File too large"
+        assert list(folder.iterdir()) == []
+
+
+def test_hdf5_reads_back_what_found_no_room(tmp_path):
+    with PatientFile(tmp_path / "a") as file:
+        assert file.write(b"0123456789") == 10
+        file.raise_error()
+        with file_size_limit(12):
+            file.seek(8)
+            assert file.write(b"abcdefgh") == 8  # of which four bytes find room
+            assert file.write(b"ijkl") == 4
+        file.seek(10)
+        file.write(b"C")  # after an error, nothing is written to the disk
+        assert (file.seek(0), file.read()) == (0, b"01234567abCdefghijkl")
+        file.seek(7)
+        assert file.read(4) == b"7abC"
+        file.truncate(25)
+        assert file.seek(0, 2) == 25
+        file.seek(18)
+        assert file.read() == b"kl" + bytes(5)
+        with pytest.raises(OSError, match="File too large"):
+            file.raise_error()
+    assert (tmp_path / "a").read_bytes()[:12] == b"01234567abcd"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("form", ["tal", "itof"])
+def test_every_command_ends_in_one_sentence_on_a_full_disk(seven_renders, tmp_path, form):
+    if not can_mount():
+        pytest.skip("needs the right to mount a file system of its own (unshare)")
+    convert = ("night-render", "convert", seven_renders, "--to", form, "--only", "000002", "--out", tmp_path)
+    for kilobytes in (4, 8, 16, 32, 64, 100, 150, 200, 250):
+        command = shlex.join(words(*convert))
+        done = on_small_disk(tmp_path, kilobytes, f"{command}; echo $?; ls -A {tmp_path}")
+        if form == "itof" and kilobytes > 8 and not done.stderr.count("Error"):
+            assert done.stdout.splitlines()[-2:] == ["0", "000002_itof.exr"]
+            continue
+        assert done.stdout.splitlines() == ["2"], done.stderr  # and no file
+        assert done.stderr.count("cannot write") == 1, done.stderr
+        assert "No space left on device" in done.stderr

@@ -1,0 +1,87 @@
+"""Interpolated transients of the hidden signal against exact ones of the same lights."""
+
+import many_light_scenes as corner
+import numpy as np
+import pytest
+from many_light_scenes import FREQUENCIES_HZ, ball, box, expose, relative, rough_plastic
+from odd_corners import OddCorner
+
+from itof import MeasurementMatrix, TransientLayout
+from render.transport.passes import transient_pass
+from render.transport.passes.transient_pass import transient_rows
+
+LAYOUT = TransientLayout(24, 18, 1400, 0.01, 0.0)
+PHI = MeasurementMatrix(FREQUENCIES_HZ, LAYOUT.bin_count, LAYOUT.bin_width_m, splat="quadratic")
+
+
+@pytest.fixture
+def hidden_bins(monkeypatch):
+    """exposure, whether to interpolate -> (H, W, T) the hidden part of its transient."""
+
+    def bins(exposure, interpolate=True):
+        from render.transport.many_light import hidden_rule
+
+        with monkeypatch.context() as patch:
+            if not interpolate:
+                patch.setattr(transient_pass, "make_curves", lambda *_: None)
+            rest = exposure.view, exposure._grid, hidden_rule(LAYOUT.width), exposure._direct
+            full, empty = (
+                np.concatenate(list(transient_rows(exposure.scene, *rest, field))).astype(float)
+                for field in (exposure.field, None)
+            )
+        return full - empty
+
+    return bins
+
+
+def different(one, other):
+    """Sum of absolute differences over pixels and bins, relative to the light."""
+    return np.abs(one - other).sum() / other.sum()
+
+
+def check(hidden_bins, scene, variant, phi_error=0.002):
+    exposure = expose(scene, variant, lights=512, layout=LAYOUT)
+    fast, exact = hidden_bins(exposure), hidden_bins(exposure, interpolate=False)
+    assert not np.array_equal(fast, exact)
+    # Time and place: a lattice cell is 6 cm of the wall (passes/hidden_curves.py), and single lights show.
+    assert different(fast, exact) < 0.03
+    assert fast.sum() == pytest.approx(exact.sum(), rel=1e-3)
+    image = [bins.sum(axis=2)[..., None] for bins in (fast, exact)]
+    # A spline between nodes rings where the shadow of a single light ends. Composites have most shadows.
+    assert relative(*image) < phi_error
+    assert np.all(relative(PHI.apply(fast), PHI.apply(exact)) < phi_error)
+    return fast, exact
+
+
+def test_interpolated_curves_have_the_time_and_the_phasors_of_exact_ones(variant, tmp_path, hidden_bins):
+    check(hidden_bins, OddCorner((ball(),), wall_bsdf=rough_plastic(0.5)).load(tmp_path), variant)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("roughness", [0.3, None])
+@pytest.mark.parametrize("mesh", [ball(), box(), box((0.002, 0.4, 0.4))], ids=["ball", "box", "foil"])
+def test_curves_of_other_corners_are_as_exact(variant, tmp_path, hidden_bins, mesh, roughness):
+    bsdf = corner.DIFFUSE if roughness is None else rough_plastic(roughness)
+    check(hidden_bins, OddCorner((mesh,), wall_bsdf=bsdf).load(tmp_path), variant)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", corner.SHAPES)
+def test_curves_of_the_papers_shapes_err_less_than_their_lights(four_shapes, variant, hidden_bins, name):
+    fast, exact = check(hidden_bins, four_shapes[name], variant, phi_error=0.003)
+    other = hidden_bins(expose(four_shapes[name], variant, lights=512, seed=2, layout=LAYOUT))
+    assert different(fast, exact) < 0.5 * different(other, fast)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fov_deg", [67, 90])
+def test_curves_end_at_the_edge_of_the_middle_wall(variant, tmp_path, hidden_bins, fov_deg):
+    scene = OddCorner((ball(),), wall_bsdf=rough_plastic(0.5), fov_deg=fov_deg).load(tmp_path)
+    fast, exact = check(hidden_bins, scene, variant)
+    dark = exact.sum(axis=2) == 0
+    assert not fast[dark].any()
+
+
+def test_no_bin_is_negative_beyond_the_ringing_of_a_spline(variant, tmp_path, hidden_bins):
+    fast = hidden_bins(expose(OddCorner((box(),)).load(tmp_path), variant, lights=64, layout=LAYOUT))
+    assert -np.minimum(fast, 0).sum() < 0.01 * fast.sum()

@@ -1,0 +1,104 @@
+"""A full disk ends night-train and the ONNX export in one sentence that names the file; nothing is lost."""
+
+import re
+import shlex
+
+import pytest
+from full_disk import can_mount, file_size_limit, on_small_disk
+from night_commands import refusal, words
+from training_runs import assert_same_end, settings
+
+from model.prediction.predictor import load
+from model.run_folder.history import EpochRecord, read_history, write_history
+from model.run_folder.run_config import RunError
+from model.training.log import TrainingLog
+from model.training.loop import train
+from model.training.refusals import naming_disk
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+RESUME = "free some space and go on with night-train --resume; the run keeps its last checkpoint"
+
+
+@pytest.mark.parametrize(
+    ("size", "file", "advice"),  # the weights have 134 kB, the checkpoint 591 kB
+    [
+        (1_000, "run.json", "free some space and start again"),
+        (100_000, "best.safetensors", RESUME),
+        (400_000, "checkpoint.pt", RESUME),
+    ],
+)
+def test_a_training_that_cannot_write_says_so_and_can_be_resumed(
+    closed_form_scenes, finished_run, tmp_path, size, file, advice
+):
+    run = tmp_path / "run"
+    with (
+        file_size_limit(size),
+        pytest.raises(RunError, match=rf"{run / file} cannot be written \(File too large\): {advice}"),
+    ):
+        train(closed_form_scenes, run, settings())
+    assert run.exists() == (file != "run.json")
+    assert not list(tmp_path.rglob(".*"))
+    train(closed_form_scenes, run, settings(), resume=run.exists())
+    assert_same_end(run, finished_run)
+
+
+def test_a_history_or_log_that_cannot_be_written_is_named(finished_copy):
+    record = EpochRecord(1, 0.1, 0.1, 0.1, 0.1, 0.1)
+    before, file = read_history(finished_copy), finished_copy / "history.csv"
+    with file_size_limit(1000), pytest.raises(RunError, match=f"{file} cannot be written"), naming_disk(file):
+        write_history(finished_copy, [record] * 100)
+    assert read_history(finished_copy) == before
+    log = TrainingLog(finished_copy, 0)
+    with (
+        file_size_limit(10),
+        pytest.raises(RunError, match=r"log/events\.out\.\S+ cannot be written.*--resume"),
+    ):
+        log.write()
+
+
+@pytest.mark.long
+def test_an_export_that_cannot_be_written_leaves_the_earlier_file(finished_run, tmp_path):
+    model = tmp_path / "model.onnx"
+    model.write_text("the earlier file")
+    with file_size_limit(50_000):
+        message = refusal("night-eval", "export", finished_run, "--out", model)
+    assert message.startswith(f"{model}: ")
+    assert "File too large" in message or "file is too large" in message
+    assert model.read_text() == "the earlier file"
+    assert list(tmp_path.iterdir()) == [model]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not can_mount(), reason="unshare --mount is not allowed here: run as root")
+@pytest.mark.parametrize("kilobytes", [4, 8, 16, 100, 160, 300, 500, 800, 1000, 1200])
+def test_a_training_goes_on_when_a_full_disk_has_room_again(
+    closed_form_scenes, finished_run, tmp_path, kilobytes
+):
+    disk, result = tmp_path / "disk", tmp_path / "result"
+    disk.mkdir()
+    run, preset = disk / "run", tmp_path / "preset.toml"
+    preset.write_text(
+        "".join(f"{name} = {value}\n" for name, value in toml(settings(checkpoint_minutes=0.0)))
+    )
+    command = shlex.join(words("night-train", closed_form_scenes.root, "--preset", preset, "--out", run))
+    # On one thread, as the run to compare with.
+    script = f"export OMP_NUM_THREADS=1; {command}; echo $? > {tmp_path}/code; "
+    script += f"[ -f {run}/run.json ] && resume=--resume && cp -r {run} {tmp_path}/full; "
+    script += f"mount -o remount,size=64m {disk}; "
+    script += f"{command} $resume && cp -r {run} {result}"
+    done = on_small_disk(disk, kilobytes, script)
+    said = re.findall(r"^Error: (.*)", done.stderr, re.MULTILINE)
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "code").read_text() == "2\n", done.stderr
+    assert len(said) == 1, done.stderr
+    assert said[0].startswith(f"{run}")
+    assert "No space left on device" in said[0]
+    if (tmp_path / "full" / "best.safetensors").exists():
+        load(tmp_path / "full", "cpu")
+    assert_same_end(result, finished_run)
+
+
+def toml(settings):
+    for name, value in vars(settings).items():
+        if name != "frequencies_hz":
+            yield name, f'"{value}"' if isinstance(value, str) else str(value).lower()

@@ -1,0 +1,146 @@
+"""The start of workers: addresses that are no scheduler's, too few open files, workers that are killed."""
+
+import re
+import signal
+import socket
+import threading
+import time
+from contextlib import contextmanager, suppress
+
+import psutil
+import pytest
+from night_commands import night_here
+from render_runs import SETTINGS, results, start_render, wait_for, workers_of
+
+from render.farm.clusters import connected
+from render.farm.dask_settings import ClusterError
+from render.farm.scheduler_address import check_address, check_answer
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "",
+        "nowhere",
+        "tcp://",
+        "tcp://host",
+        "host:99999",
+        "http://host:80",
+        "tcp://[::1",
+        ":::",
+        "tcp://a b:1",
+    ],
+)
+def test_what_is_no_address_of_a_scheduler_is_refused_before_anything_starts(address):
+    with pytest.raises(ClusterError, match="is no address of a scheduler: give one like tcp://host:8786"):
+        check_address(address)
+
+
+@contextmanager
+def answering(words):
+    """Port of a program that is no scheduler and says `words` to whoever connects."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            with suppress(OSError):
+                while True:
+                    connection, _ = server.accept()
+                    connection.sendall(words)
+                    open_connections.append(connection)
+
+        open_connections = []
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join()
+        for connection in open_connections:
+            connection.close()
+
+
+@pytest.mark.parametrize("words", [b"", b"HTTP/1.0 400 Bad Request\r\n\r\n", b"\xff" * 64], ids=repr)
+def test_a_program_that_is_no_scheduler_is_not_waited_for(monkeypatch, words):
+    monkeypatch.setattr("render.farm.scheduler_address.CONNECT_S", 0.3)
+    with (
+        answering(words) as port,
+        pytest.raises(ClusterError, match=f"no Dask scheduler answers at .*{port}"),
+    ):
+        check_answer(f"tcp://127.0.0.1:{port}")
+
+
+# Workers that do not start
+
+
+def test_more_workers_than_files_may_be_open_are_refused(monkeypatch):
+    monkeypatch.setattr("render.farm.local_workers.getrlimit", lambda _: (64, 64))
+    with (
+        pytest.raises(
+            ClusterError, match=r"9 workers need 148 open files, .* 64 \(ulimit -n\): give --workers 2"
+        ),
+        connected(workers=9, scheduler=None, cluster_file=None, device="cpu"),
+    ):
+        pass
+
+
+@contextmanager
+def killing_first_workers(count):
+    """Kill the first `count` worker processes of this process as soon as they are there."""
+    killed, stop = [], threading.Event()
+
+    def kill():
+        while not stop.is_set() and len(killed) < count:
+            for child in psutil.Process().children(recursive=True):
+                with suppress(psutil.NoSuchProcess):
+                    is_worker = "spawn_main" in " ".join(child.cmdline())
+                    if is_worker and child.pid not in killed and len(killed) < count:
+                        child.kill()
+                        killed.append(child.pid)
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        stop.set()
+        thread.join()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_worker_that_is_killed_while_it_starts_costs_one_retry(workers):
+    with (
+        killing_first_workers(1) as killed,
+        connected(workers=workers, scheduler=None, cluster_file=None, device="cpu") as client,
+    ):
+        assert len(killed) == 1
+        assert len(client.nthreads()) == workers
+        assert client.submit(sum, (1, 2)).result() == 3
+
+
+@pytest.mark.long
+def test_workers_that_are_always_killed_while_they_start_end_the_run_in_one_sentence(unrendered):
+    with killing_first_workers(100):
+        done = night_here("night-render", unrendered, *SETTINGS, "--workers", 2)
+    assert done.returncode == 2
+    assert "Error: the worker processes did not start, at two attempts" in done.stderr.splitlines()[-1]
+    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+
+
+@pytest.mark.long
+def test_processes_killed_at_any_moment_of_the_start_change_no_result(unrendered, seven_renders):
+    """Every tenth of a second of the start, one of the processes of the command is killed."""
+    for tenth in range(2, 32, 3):
+        process = start_render(unrendered, "--workers", "2", "--only", "000000")
+        time.sleep(tenth / 10)
+        for worker in workers_of(process)[:1]:
+            with suppress(psutil.NoSuchProcess):
+                worker.send_signal(signal.SIGKILL)
+        output, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
+        assert "Traceback" not in errors
+        assert re.match("[01] scenes rendered", output)
+    of_scene = {name: found for name, found in results(unrendered).items() if "000000/" in name}
+    assert of_scene
+    assert of_scene.items() <= results(seven_renders).items()
+    wait_for(lambda: not workers_of(process))
