@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from itof import MeasurementMatrix, Splat, TransientWriter, phasor_channels, write_image
 from render.backend import select_variant
@@ -79,6 +80,7 @@ class Renderer:
             splat=_SPLAT,
         )
         self.variant = select_variant(settings.device)
+        self._libraries = ThreadpoolController()  # which finds numpy's and scipy's linear algebra
         make = METHODS[settings.method]
         self._method = make(settings.options, self.variant)
         self._mirrored_method = make(settings.options.for_one_bounce(), self.variant)
@@ -97,6 +99,12 @@ class Renderer:
         NightError : a file of the scene is missing or damaged.
         """
         source = self._read(scene_id)
+        # Matrix products round differently on one thread and on two: files must not depend on the workers.
+        with self._libraries.limit(limits=1, user_api="blas"):
+            return self._render(source)
+
+    def _render(self, source: _Source) -> RenderRecord:
+        scene_id = source.scene.id
         folder = self.dataset.render_folder(scene_id)
         recipe = self.settings.recipe(self.dataset, source.digest)
         _forget_earlier(folder, "" if self.settings.wants_transients else recipe)

@@ -22,8 +22,8 @@ from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, Nigh
 Product = Literal["transient", "itof", "both"]
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
 _MOST_PIXELS = 2**26  # the ground truth traces the rays of all pixels at once
-# Copies of a row block in memory, as float32: the bins, numpy's copy, and a float64 sum, which counts twice.
-_WORKING_COPIES = 4
+# Copies of a row block in memory, as float32: bins and sum in float64, which count twice, and two in float32.
+_WORKING_COPIES = 6
 
 
 class RenderError(NightError):

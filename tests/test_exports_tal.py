@@ -82,8 +82,8 @@ def test_the_first_return_of_a_pixel_has_the_length_projector_wall_camera(captur
     assert (delta_t, t_start) == (BIN_M, START_M)
     assert capture["t_accounts_first_and_last_bounces"][()]
     first_m = t_start + ((capture["H"][()] > 0).argmax(axis=0) + 0.5) * delta_t
-    # A pixel's first light is that of its nearest point: the splat reaches 1.5 bins before it, and the
-    # renderer takes the middle of cells a 16th of a pixel wide (docs/rendering.md).
+    # A pixel's first light is that of its nearest point; the splat reaches 1.5 bins before it. The renderer
+    # takes at least 8 x 8 Gauss nodes in a pixel, of which the first lies 1/50 of a pixel from the side.
     late_m = first_m - nearest_m.T
     # `footprint_m` looks at the corners; the nearest point of a pixel may lie between them.
     assert late_m.min() > -1.6 * BIN_M

@@ -20,7 +20,10 @@ from night_commands import PRESET, night
 from render_runs import SETTINGS
 
 from itof import read_image
-from scenegen import sha256_of
+from render.options import ManyLightOptions, PathOptions
+from render.rendering import Renderer
+from render.settings import RenderSettings
+from scenegen import open_dataset, sha256_of
 
 GOLDEN = Path(__file__).parent / "golden"
 HASHES, REFERENCE = GOLDEN / "bytes.json", GOLDEN / "reference.npz"
@@ -99,6 +102,26 @@ def test_renders_are_the_same_pixels_as_ever_on_all_machines(datasets):
             else:
                 # One of 16 paths in one of 432 pixels may take another way at an edge.
                 assert np.all(error < np.linalg.norm(expected, axis=(0, 1)) / 16 / np.sqrt(432)), key
+
+
+@pytest.mark.parametrize(
+    "options", [ManyLightOptions(error=0.05), PathOptions(spp=1000)], ids=["many", "path"]
+)
+def test_files_do_not_depend_on_the_number_of_threads(seven_scenes, tmp_path, options):
+    import drjit as dr
+
+    root = shutil.copytree(seven_scenes, tmp_path / "data")
+    settings = RenderSettings(product="both", options=options, device="cpu")
+    renderer, usual, found = Renderer(open_dataset(root), settings), dr.thread_count(), []
+    for threads in (1, 2, 3):
+        dr.set_thread_count(threads)
+        try:
+            found.append({name: file.sha256 for name, file in renderer.render("000000").files.items()})
+        finally:
+            dr.set_thread_count(usual)
+    assert len(found[0]) == 4
+    assert found[1] == found[0]
+    assert found[2] == found[0]
 
 
 def write_golden(datasets):

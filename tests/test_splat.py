@@ -47,10 +47,10 @@ def splatted(opl_m, energy, pixel, layout, pixels):
     from render.transport.kernels import arrays, time_bins
 
     axis = time_bins.TimeAxis(layout.bin_count, layout.bin_width_m, layout.start_opl_m)
-    bins = dr.zeros(mi.Float, pixels * layout.bin_count)
+    bins = dr.zeros(mi.Float64, pixels * layout.bin_count)
     first = mi.UInt32(np.asarray(pixel, np.uint32)) * axis.count
     returns = arrays.upload(np.asarray(opl_m)), arrays.upload(np.asarray(energy))
-    time_bins.splat_quadratic(bins, first, axis, *returns, dr.ReduceMode.Auto)
+    time_bins.splat_quadratic(bins, first, axis, *returns, quantum=dr.opaque(mi.Float64, 2.0**-50))
     return np.array(bins).reshape(pixels, layout.bin_count)
 
 

@@ -121,7 +121,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
         ("time axis", bins),
         ("light paths", f"at most {axis.max_bounces} surfaces"),
         ("pixels", ratio_sentence(found)),
-        ("estimated error of the hidden signal", error),
+        ("error of the hidden signal, upper bound", error),
         ("disk used", ", ".join(f"{name} {size(count)}" for name, count in _disk(dataset.root))),
     ]
 

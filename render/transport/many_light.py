@@ -35,9 +35,7 @@ _RUNS = 8  # at least, in a trial and in an image
 _FEWEST_POINTS, _FIRST_TRIAL, _MOST_POINTS = 32, 128, 2**14  # on the hidden surface, of a run
 _REFINED = 1.5  # lights that lack this factor of points get new runs with twice the points, others more runs
 _MARGIN = 0.85  # of the wanted error: what the lights are planned for; the rest is for chance
-_FOR_LIGHTS = (
-    0.96  # of the wanted error, for the lights; with a quarter for the interpolation it is all of it
-)
+_FOR_LIGHTS = 0.96  # of the wanted error; a quarter of it for the interpolation makes it whole
 _WIDE_PIXEL = 4e-3  # of the image width; the hidden part of wider pixels takes 2 x 2 nodes instead of one
 
 log = logging.getLogger(__name__)
@@ -167,12 +165,12 @@ class ManyLightExposure:
 
     @property
     def error(self) -> float | None:
-        """Estimated error of the hidden phasors, relative to them; None without a hidden object."""
+        """Bound of the error of the hidden phasors, relative to them; None without a hidden object."""
         return None if self.field is None else self.field.error
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Provenance for the file: number of lights, and estimated error of the hidden signal."""
+        """Provenance for the file: number of lights, and bound of the error of the hidden signal."""
         if self.field is None:
             return {"lights": "0"}
         return {"lights": str(len(self.field.lights)), "hidden_error": f"{self.field.error:.3g}"}

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.options import PathOptions
+from render.transport.film.lattice import Lattice
 from render.transport.method import View
+from render.transport.passes.direct_pass import sample_direct
 from render.transport.transient_film import FILM_PLUGIN, register_film
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 INTEGRATOR_PLUGIN = "night_transient_path"
 _WAVEFRONT = 2**24  # paths in flight: about 1 GB in DrJit
-_SAMPLES_PER_PASS = 1024  # paths whose energy is summed in float32; passes are summed in float64
+_SAMPLES_PER_PASS = 1024  # so that the paths in flight are those of several rows
 _LOST_ENERGY = 1e-3  # share of the light outside the time axis above which a warning is logged
 
 log = logging.getLogger(__name__)
@@ -80,10 +82,11 @@ class PathExposure:
         view = self.view
         step = max(1, _WAVEFRONT // (view.layout.width * self.spp_per_pass))
         step = min(step, view.layout.rows_per_block)
+        quantum = _quantum(self.scene, view.seed)
         energy = lost = 0.0
         for start in range(0, view.layout.height, step):
             rows = min(step, view.layout.height - start)
-            block, steady = self._render_rows(start, rows)
+            block, steady = self._render_rows(start, rows, quantum)
             energy += steady
             lost += steady - float(block.sum(dtype=np.float64))
             yield block
@@ -93,12 +96,12 @@ class PathExposure:
                 100 * lost / energy,
             )
 
-    def _render_rows(self, start: int, rows: int) -> tuple[NDArray[np.float32], float]:
+    def _render_rows(self, start: int, rows: int, quantum: float) -> tuple[NDArray[np.float32], float]:
         import drjit as dr
         import mitsuba as mi
 
         scene, view = self.scene, self.view
-        sensor = mi.load_dict(_sensor_dict(scene, view, start, rows))
+        sensor = mi.load_dict(_sensor_dict(scene, view, start, rows, quantum))
         depth = view.max_bounces + 1  # mitransient counts the edges of a path
         integrator = mi.load_dict({"type": INTEGRATOR_PLUGIN, "max_depth": depth})
         total = np.zeros((rows, view.layout.width, view.layout.bin_count))
@@ -115,7 +118,13 @@ class PathExposure:
         return (total / self.passes).astype(np.float32), steady_sum / self.passes
 
 
-def _sensor_dict(scene: mi.Scene, view: View, start: int, rows: int) -> dict[str, Any]:
+def _quantum(scene: mi.Scene, seed: int) -> float:
+    """A power of two near 2^-50 of the brightest direct return: bins of up to 8 times that are exact sums."""
+    brightest = float(sample_direct(scene, Lattice(64, 48).nodes, seed).radiance.max())
+    return float(2.0 ** (np.ceil(np.log2(brightest)) - 50)) if 0 < brightest < np.inf else 2.0**-50
+
+
+def _sensor_dict(scene: mi.Scene, view: View, start: int, rows: int, quantum: float) -> dict[str, Any]:
     """The scene's own camera with a transient film that covers `rows` image rows."""
     import mitsuba as mi
 
@@ -139,6 +148,7 @@ def _sensor_dict(scene: mi.Scene, view: View, start: int, rows: int) -> dict[str
             "temporal_bins": layout.bin_count,
             "bin_width_opl": layout.bin_width_m,
             "start_opl": layout.start_opl_m,
+            "quantum": quantum,
             "rfilter": {"type": "box"},
         },
     }

@@ -4,6 +4,7 @@ For a crop window, ``transient_hdr_film`` of mitransient stores the whole image.
 weight channel and adds every return to one bin. This film stores the crop window only, and one float per bin.
 It splits every return over the three nearest bins (a quadratic B-spline), which reduces the phase error of
 phasors at 60 MHz from 6e-3 to 2e-8 rad (docs/design.md, Time bins).
+Sums do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ FILM_PLUGIN = "night_transient_film"
 def register_film(variant: str) -> None:
     """Register the plugin ``night_transient_film`` with Mitsuba for the active `variant`.
 
-    It has the parameters of ``transient_hdr_film``. The class is defined in this function, because the base
+    It has the parameters of ``transient_hdr_film``, and ``quantum``: a power of two to whose multiples all
+    returns are rounded, so that their sums are exact. The class is defined in this function, because the base
     classes exist only after a variant is set.
     """
     import drjit as dr
@@ -34,20 +36,24 @@ def register_film(variant: str) -> None:
     class TransientFilm(TransientHDRFilm):
         """Transient film of the crop window with one channel and quadratic splatting, for mono variants."""
 
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.quantum = dr.opaque(mi.Float64, float(props["quantum"]))
+
         def prepare_transient_(self, aovs: Sequence[str]) -> int:
             size = self.crop_size()
             self.shape = (int(size.y), int(size.x), int(self.temporal_bins))
-            self.energy = dr.zeros(mi.Float, self.shape[0] * self.shape[1] * self.shape[2])
+            self.energy = dr.zeros(mi.Float64, self.shape[0] * self.shape[1] * self.shape[2])
             self.axis = TimeAxis(int(self.temporal_bins), float(self.bin_width_opl), float(self.start_opl))
             self.channels = ["L"]
             return 1
 
         def clear(self) -> None:
             self.steady.clear()
-            self.energy = dr.zeros(mi.Float, dr.width(self.energy))
+            self.energy = dr.zeros(mi.Float64, dr.width(self.energy))
 
         def develop_transient_(self, raw: bool = False) -> mi.TensorXf:
-            return mi.TensorXf(self.energy, self.shape)
+            return mi.TensorXf(mi.Float(self.energy), self.shape)
 
         def add_transient_data(
             self,
@@ -65,7 +71,7 @@ def register_film(variant: str) -> None:
             inside = active & (column >= 0) & (column < width) & (row >= 0) & (row < height)
             energy = dr.select(inside, (spec * ray_weight).x, 0)
             first = mi.UInt32(row * width + column) * self.axis.count
-            splat_quadratic(self.energy, first, self.axis, distance, energy, dr.ReduceMode.Auto)
+            splat_quadratic(self.energy, first, self.axis, distance, energy, self.quantum)
 
     make: Callable[[Any], Any] = TransientFilm
     mi.register_film(FILM_PLUGIN, make)

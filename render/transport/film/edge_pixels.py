@@ -1,7 +1,7 @@
 """Division of pixels that see several surfaces into cells that see one.
 
-The direct return is 500 times the hidden signal, so the area of a pixel on each side of an edge must be known
-to 1e-5. Cells with an edge are divided into four, again and again. Nothing here knows Mitsuba.
+The direct return is 200 to 5000 times the hidden signal, so the area of a pixel on each side of an edge must
+be known to 1e-5. Cells with an edge are divided into four, again and again. Nothing here knows Mitsuba.
 """
 
 from __future__ import annotations

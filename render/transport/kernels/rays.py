@@ -79,7 +79,7 @@ def direct_return(
     """Radiance (W m^-2 sr^-1) of the one-bounce return, and its optical path length (metres).
 
     A camera at the place of the emitter sees no shadow. A shadow ray starts above the surface and would find
-    some along edges, where a pixel has 500 times the hidden signal.
+    some along edges, where a pixel has hundreds of times the hidden signal.
     """
     emitted, weight = scene.sample_emitter_direction(si, sample, False, si.is_valid())
     lit = si.is_valid() & (emitted.pdf != 0)

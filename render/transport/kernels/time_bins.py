@@ -22,18 +22,24 @@ class TimeAxis:
 
 
 def splat_quadratic(
-    bins: mi.Float,
+    bins: mi.Float | mi.Float64,
     first: mi.UInt32,
     axis: TimeAxis,
     opl: mi.Float,
     energy: mi.Float,
-    mode: dr.ReduceMode,
+    quantum: mi.Float64 | None = None,
 ) -> mi.Float:
     """Add `energy` at `opl` to the three nearest bins of the pixel whose bins begin at `first`.
 
     The shares are those of a quadratic B-spline (`itof.splat`): they are never negative and sum to 1. DrJit's
     scatter drops NaN without a message, so NaN is replaced by infinity, which stops the render. Returns the
     energy that falls outside the time axis.
+
+    Parameters
+    ----------
+    quantum : None if no two lanes add to the same bins. Otherwise `bins` are float64, and shares are rounded
+        to multiples of this power of two. Sums below 2^53 of them are exact, so the order of the lanes, which
+        depends on the number of threads, does not matter.
     """
     energy = dr.select(dr.isnan(energy), dr.inf, energy)
     place = (opl - axis.start) * axis.per_metre  # in bins from the start of the axis
@@ -45,11 +51,38 @@ def splat_quadratic(
     for step, share in shares:
         index = mi.Int32(nearest) + step
         inside = (index >= 0) & (index < limit)
-        lost += dr.select(inside, 0, energy * share)
-        dr.scatter_reduce(
-            dr.ReduceOp.Add, bins, energy * share, first + mi.UInt32(index), inside & (energy != 0), mode
-        )
+        part, mode = energy * share, dr.ReduceMode.NoConflicts
+        lost += dr.select(inside, 0, part)
+        if quantum is not None:
+            part, mode = dr.round(mi.Float64(part) / quantum) * quantum, dr.ReduceMode.Auto
+        dr.scatter_reduce(dr.ReduceOp.Add, bins, part, first + mi.UInt32(index), inside & (energy != 0), mode)
     return lost
+
+
+@dr.syntax
+def splat_samples(
+    opl: mi.Float,
+    energy: mi.Float,
+    sample: mi.UInt32,
+    end: mi.UInt32,
+    first: mi.UInt32,
+    axis: TimeAxis,
+    bins: mi.Float,
+) -> tuple[mi.Float, mi.Float]:
+    """Add the samples from `sample` to `end` of each lane to the bins that begin at `first`.
+
+    One lane adds all samples of a pixel in their order: if several threads added to the same bins, the sums
+    would depend on which came first. Returns the energy that arrived, and that which arrived outside the time
+    axis.
+    """
+    arrived, lost = mi.Float(0), mi.Float(0)
+    while sample < end:
+        part = dr.gather(mi.Float, energy, sample)
+        path = dr.gather(mi.Float, opl, sample)
+        lost += splat_quadratic(bins, first, axis, path, part)
+        arrived += part
+        sample += 1
+    return arrived, lost
 
 
 @dr.syntax
@@ -84,7 +117,7 @@ def splat_lights(
         while packet < last:
             part = weight * transport * dr.gather(mi.Float, energy, packet)
             path = travelled + dr.gather(mi.Float, opl, packet)
-            lost += splat_quadratic(bins, first, axis, path, part, dr.ReduceMode.NoConflicts)
+            lost += splat_quadratic(bins, first, axis, path, part)
             arrived += part
             packet += 1
         light += 1

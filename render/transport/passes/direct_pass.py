@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # How much the direct return may vary over the width of an image: its optical path length, and the logarithm
 # of its radiance. Both are several times what the paper's scenes have.
 _STEEPEST_M, _STEEPEST = 12.0, 3.0
-_RULE_ERROR = 1e-8  # of the direct return, which is 500 to 5000 times the hidden signal
+_RULE_ERROR = 1e-8  # of the direct return, which is 200 to 5000 times the hidden signal
 
 
 @dataclass(frozen=True)

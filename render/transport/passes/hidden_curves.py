@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 _COLUMNS = 40
 _FINER = 4  # samples of a curve in a bin
 _SLICES = 4  # of the lights at each node, so that all threads are busy
+# Of the largest value: what is smaller is taken as no light. The tails of the splines reach denormal numbers,
+# which some threads round to zero and others do not.
+_LEAST = 1e-7
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ class HiddenCurves:
             x = (np.arange(grid.width) + node[0]) / grid.width
             y = (np.arange(*rows) + node[1]) / grid.height
             curves = self.lattice.interpolated_rows(self.values, x, y).reshape(-1, self.values.shape[2])
+            curves[np.abs(curves) < _LEAST * self.values.max()] = 0
             points = grid.points(rows[0] * grid.width + pixels, node[None])[:, 0]
             si = rays.camera_hits(self.scene, *(arrays.upload(column) for column in points.T))
             amplitude, path = wall_light.carrier_path(si, there)

@@ -41,7 +41,7 @@ class HiddenField:
     ratio : (N, F) hidden signal over carrier at the nodes, mean over the runs of lights.
     valid : (N,) nodes that see `surface`.
     surface : number of the surface behind most of the nodes.
-    error : estimated error relative to the hidden signal, the largest of all frequencies.
+    error : bound of the error relative to the hidden signal, the largest of all frequencies.
     """
 
     scene: mi.Scene

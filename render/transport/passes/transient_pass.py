@@ -130,31 +130,35 @@ class _DirectPart:
     def add(self, rows: tuple[int, int], axis: TimeAxis, bins: mi.Float) -> tuple[float, float]:
         """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
         import drjit as dr
-        import mitsuba as mi
 
         from render.transport.kernels import arrays, time_bins
 
         first_pixel, last_pixel = rows[0] * self.grid.width, rows[1] * self.grid.width
-        uniform = np.ones(last_pixel - first_pixel, np.float32)
         edges, samples = self.image.edges, self.image.edge_samples
-        mine = (edges.pixel >= first_pixel) & (edges.pixel < last_pixel)
-        uniform[edges.pixel[mine] - first_pixel] = 0
-        radiance, opl, pixel, weight, _ = direct_lanes(self.scene, self.grid, rows, self.rule, self.seed)
-        energy = radiance * weight * dr.gather(mi.Float, arrays.upload(uniform), pixel)
-        parts = [(pixel, opl, energy)]
-        if mine.any():
-            parts.append(
-                (
-                    arrays.upload_indices(edges.pixel[mine] - first_pixel),
-                    arrays.upload(samples.opl_m[mine]),
-                    arrays.upload(samples.radiance[mine] * edges.weights[mine]),
-                )
-            )
-        totals = []
-        for number, path, share in parts:
-            lost = time_bins.splat_quadratic(bins, number * axis.count, axis, path, share, dr.ReduceMode.Auto)
-            dr.eval(bins, lost, share)
-            totals.append((dr.sum(share)[0], dr.sum(lost)[0]))
+        mine = np.flatnonzero((edges.pixel >= first_pixel) & (edges.pixel < last_pixel))
+        mine = mine[np.argsort(edges.pixel[mine], kind="stable")]
+        divided, counts = np.unique(edges.pixel[mine] - first_pixel, return_counts=True)
+        uniform = np.setdiff1d(np.arange(last_pixel - first_pixel), divided)
+        radiance, opl, _, weight, _ = direct_lanes(self.scene, self.grid, rows, self.rule, self.seed)
+        energy = radiance * weight
+        dr.eval(opl, energy)
+        totals = [(0.0, 0.0)]
+        for pixels, begin, count, path, share in (
+            (uniform, uniform * self.rule.count, self.rule.count, opl, energy),
+            (
+                divided,
+                np.cumsum(counts) - counts,
+                counts,
+                arrays.upload(samples.opl_m[mine]),
+                arrays.upload(samples.radiance[mine] * edges.weights[mine]),
+            ),
+        ):
+            if len(pixels):
+                first = arrays.upload_indices(pixels) * axis.count
+                ends = (arrays.upload_indices(begin), arrays.upload_indices(begin + count))
+                found = time_bins.splat_samples(path, share, *ends, first, axis, bins)
+                dr.eval(bins, found)
+                totals.append((dr.sum(found[0])[0], dr.sum(found[1])[0]))
         return sum(total[0] for total in totals), sum(total[1] for total in totals)
 
 
