@@ -26,9 +26,9 @@ def start_render(data, *arguments, **options):
 
 
 def results(data):
-    """Hash of everything a run leaves but its log, its locks and the hashes it remembers."""
+    """Hash of what a run leaves but its log, its locks, the hashes it remembers and temporary folders."""
     files = [data / "dataset.json", data / "renders/rendering.json", *sorted(data.glob("renders/[0-9]*/*"))]
-    return {file.relative_to(data).as_posix(): sha256_of(file) for file in files}
+    return {file.relative_to(data).as_posix(): sha256_of(file) for file in files if file.is_file()}
 
 
 def run_log(data):

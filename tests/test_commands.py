@@ -71,6 +71,7 @@ def test_a_second_render_keeps_what_is_there_and_mends_what_is_not(pipeline_copy
     assert done.stdout.startswith("1 scenes rendered, 6 were there")
 
 
+@pytest.mark.long
 def test_only_renders_only_that_scene(pipeline_copy, render_here):
     data = pipeline_copy / "data"
     shutil.rmtree(data / "renders")
@@ -81,6 +82,7 @@ def test_only_renders_only_that_scene(pipeline_copy, render_here):
     assert [folder.name for folder in (data / "renders").glob("0*")] == ["000002"]
 
 
+@pytest.mark.long
 def test_a_finished_training_resumes_to_more_epochs_on_the_device_of_the_run(pipeline_copy):
     run = pipeline_copy / "run"
     more = ["--out", run, *TRAINING, "--resume", "--max-epochs", 3, "--json"]
@@ -221,6 +223,7 @@ def test_a_capture_that_cannot_be_written_leaves_no_half_file(pipeline, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_pictures_that_blender_cannot_write_are_missed(pipeline_copy, maker):
     with file_size_limit(8000):  # a picture of a scene takes 50 kB
         done = night_here("night-gen", "preview", pipeline_copy / "data", "--count", 1)

@@ -126,6 +126,7 @@ def test_a_transient_of_a_damaged_time_axis_is_refused(pipeline_copy, tmp_path):
         assert words in refusal("night-render", *command)
 
 
+@pytest.mark.long
 def test_another_resolution_between_stages_is_refused(pipeline_copy, render_here):
     data, half = (
         pipeline_copy / "data",

@@ -57,6 +57,7 @@ def test_settings_and_plans_load_no_machinery(tmp_path):
     assert of("render", plan) & {"render.transport", "render.rendering", "render.products"} == set()
 
 
+@pytest.mark.long
 def test_using_a_network_does_not_load_what_training_needs(finished_run, tmp_path):
     code = (
         f"import model\npredictor = model.load({str(finished_run)!r}, 'cpu')\n"

@@ -22,6 +22,7 @@ def measured(scene, variant, max_bounces, lights=512):
     return measure(scene, variant, lights=lights, layout=LONG, max_bounces=max_bounces)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("max_bounces", [4, 5])
 def test_a_hollow_object_sends_the_light_that_the_path_tracer_finds(variant, tmp_path, max_bounces):
     scene = Corner((niche(),)).load(tmp_path)

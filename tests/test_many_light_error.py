@@ -108,6 +108,7 @@ def true_rms(four_shapes, reference, hidden):
     return rms
 
 
+@pytest.mark.long
 def test_sixteen_times_the_lights_have_less_than_a_quarter_of_the_error(four_shapes, hidden):
     cube = four_shapes["cube"]
     # By N^-3/4 the mean of 4 x 2048 lights has 0.3 of the error of 1024, which adds 4 % to that.

@@ -100,6 +100,7 @@ for renderer, scene_id in zip(renderers, dataset.ids(), strict=True):
 """
 
 
+@pytest.mark.long
 def test_the_scenes_after_the_first_compile_no_kernel(make_dataset):
     dataset = make_dataset(
         {
@@ -121,6 +122,7 @@ def test_the_scenes_after_the_first_compile_no_kernel(make_dataset):
     assert [len(later - kernels[0]) for later in kernels[1:]] == [0] * 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.long)])
 def test_many_renders_in_one_process_do_not_grow_memory(variant, tmp_path, count):
     def resident_bytes():

@@ -33,6 +33,7 @@ def test_many_lights_agree_with_the_path_tracer_within_its_noise(four_shapes, va
     assert_agrees_with_paths(image, runs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["spot", "point", "area"])
 def test_other_emitters_than_a_projector_agree_with_the_path_tracer(variant, tmp_path, kind):
     import mitsuba as mi
@@ -60,6 +61,7 @@ def test_other_emitters_than_a_projector_agree_with_the_path_tracer(variant, tmp
     assert np.all(sigma < 0.02)
 
 
+@pytest.mark.long
 def test_an_object_half_behind_a_black_blocker_gives_less_and_what_paths_say(variant, tmp_path):
     blocker = quad((0.75, 0.9, 1.0), (0.75, 1.6, 1.0), (0.75, 1.6, 2.2), (0.75, 0.9, 2.2))
     free = Corner((ball(),), wall_bsdf=rough_plastic(0.5))
@@ -71,6 +73,7 @@ def test_an_object_half_behind_a_black_blocker_gives_less_and_what_paths_say(var
     assert_agrees_with_paths(shaded, path_phasors(scene, variant, seeds=range(12), spp=1024, layout=SMALL))
 
 
+@pytest.mark.long
 def test_objects_shade_each_other(variant, tmp_path):
     near, far = ball(radius_m=0.15, centre=(0.7, 0.9, 1.6)), box(centre=(1.3, 1.0, 1.6))
     corner = Corner((near, far), wall_bsdf=rough_plastic(0.5))

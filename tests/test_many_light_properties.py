@@ -200,6 +200,7 @@ STEADY = settings(
 )
 
 
+@pytest.mark.long
 @settings(STEADY, max_examples=3)
 @given(drawn=corners())
 def test_any_corner_is_rendered_or_refused(drawn, variant):
@@ -213,6 +214,7 @@ def test_a_hundred_and_twenty_corners_are_rendered_or_refused(drawn, variant):
     check(drawn, variant)
 
 
+@pytest.mark.long
 @settings(STEADY, max_examples=2)
 @given(preset=presets())
 def test_any_preset_is_rendered_or_refused(preset, make_dataset, variant):

@@ -42,6 +42,7 @@ def judged(finished_run, closed_form_scenes, tmp_path_factory):
     return judge(finished_run, closed_form_scenes, folder, split="validation"), folder
 
 
+@pytest.mark.long
 def test_evaluation_over_many_pieces_is_that_over_one(judged, finished_run, tmp_path, monkeypatch):
     monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * RowLayout(24, 14, 3).row_bytes)
     pieces = write_synthetic_dataset(tmp_path / "data", count=12)
@@ -68,6 +69,7 @@ def earlier_report(judged, tmp_path):
     return shutil.copytree(judged[1], tmp_path / "report")
 
 
+@pytest.mark.long
 def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(
     finished_copy, closed_form_scenes, earlier_report
 ):
@@ -201,6 +203,7 @@ def test_evaluation_without_a_test_split_says_which_there_are(finished_run, tmp_
         judge(finished_run, dataset, tmp_path / "report")
 
 
+@pytest.mark.long
 def test_night_eval_judges_where_no_other_command_is_named(finished_run, closed_form_scenes, tmp_path):
     data, cpu = closed_form_scenes.root, ("--device", "cpu")
     empty = tmp_path / "empty"

@@ -77,6 +77,7 @@ def judged(many_scenes, tmp_path_factory):
     return report, root / "report"
 
 
+@pytest.mark.long
 def test_a_small_network_finds_a_disc_of_known_place_to_within_two_pixels(judged, many_scenes):
     prediction = judged[0].prediction
     shards = open_shards(many_scenes)

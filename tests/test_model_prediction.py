@@ -86,6 +86,7 @@ def test_an_exr_keeps_its_unit_and_a_cameras_is_rescaled(seeing_run, exr, tmp_pa
     assert np.abs(written(tmp_path / "trusted").phasor - written(tmp_path / "1").phasor).max() > 1
 
 
+@pytest.mark.long
 def test_a_file_may_hold_more_frequencies_in_any_order(seeing_run, phasors, tmp_path):
     predict(seeing_run, write_npz(tmp_path / "a.npz", phasors=phasors[:2]), tmp_path / "a")
     other = np.concatenate([phasors[:2][..., [2, 0, 1]], np.ones_like(phasors[:2, ..., :1])], axis=-1)

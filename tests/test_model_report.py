@@ -82,6 +82,7 @@ def test_averages_of_groups_are_those_done_by_hand(judged, dataset):
         assert sum(group.count for group in table.groups) == len(lines), table.key
 
 
+@pytest.mark.long
 def test_the_sweep_at_the_threshold_in_use_is_the_report(judged, run, dataset, tmp_path):
     report, _ = judged
     assert report.calibration.judged_threshold == 0.5

@@ -71,6 +71,7 @@ def test_a_licence_is_read_from_the_card_that_names_it(corners, licence):
     assert read_card(corners).licence == licence
 
 
+@pytest.mark.long
 def test_a_licence_is_kept_until_another_is_given(corners):
     card = dataset_card(corners, read_distributions(corners, lambda: None), "CC BY 4.0")
     (corners.root / "README.md").write_text(card)
@@ -88,6 +89,7 @@ def test_a_readme_of_somebody_else_is_recognised(corners, text):
     assert not read_card(corners).is_ours
 
 
+@pytest.mark.long
 def test_a_readme_of_somebody_else_is_kept(corners):
     (corners.root / "README.md").write_text("")
     written = write_preview(corners, ["000000"], grey_view, "CC BY 4.0")
@@ -95,6 +97,7 @@ def test_a_readme_of_somebody_else_is_kept(corners):
     assert [file.name for file in written] == ["contact_sheet.png", "distributions.png"]
 
 
+@pytest.mark.long
 def test_pictures_of_the_user_in_the_preview_are_kept(corners):
     write_preview(corners, ["000000"], grey_view)
     sheet, notes = corners.root / "preview" / "contact_sheet.png", corners.root / "preview" / "notes.txt"

@@ -23,6 +23,7 @@ def small_pictures(monkeypatch):
         monkeypatch.setattr(f"render.products.{module}.PICTURE_SIZE", (144, 108))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_pictures")
 def test_the_command_leaves_scenes_renders_and_night_gen_alone(corners):
     before = contents(corners.root)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from many_light_scenes import FREQUENCIES_HZ, Corner, relative, rough_plastic
 
 from scenegen import preset_from_dict, sample_scene
 from scenegen.mitsuba_description import seen_description
@@ -49,3 +50,41 @@ def test_a_diffuse_wall_returns_its_reflectance(variant):
     hit.wi = mi.Vector3f(0.0, 0.6, 0.8)
     value = np.array(bsdf.eval(mi.BSDFContext(), hit, mi.Vector3f(0.8, 0.0, 0.6)))
     np.testing.assert_allclose(value, 0.7 * 0.6 / np.pi, rtol=1e-5)
+
+
+def textured(periods):
+    """A diffuse wall whose reflectance has this many waves over each triangle, in both directions."""
+    import mitsuba as mi
+
+    wave = np.sin(2 * np.pi * periods * np.arange(256) / 256)
+    picture = (0.6 + 0.3 * wave[:, None] * wave)[..., None].astype(np.float32)
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(picture), "raw": True}
+    return {"type": "twosided", "nested": {"type": "diffuse", "reflectance": texture}}
+
+
+@pytest.mark.parametrize(
+    "wall", [lambda: textured(8), lambda: rough_plastic(0.05)], ids=["waves", "highlight"]
+)
+def test_pixels_over_which_the_walls_brightness_varies_get_more_nodes(variant, tmp_path, wall):
+    from render.transport.film.pixels import Grid, gauss_rule
+    from render.transport.passes.direct_pass import (
+        direct_order,
+        direct_phasors_of,
+        gather_direct,
+        sample_direct,
+    )
+
+    scene, grid = Corner(wall_bsdf=wall()).load(tmp_path), Grid(12, 9)
+
+    def image(order):
+        rule = gauss_rule(order)
+        points = grid.points(np.arange(12 * 9), rule.pixel_nodes)
+        z = direct_phasors_of(sample_direct(scene, points.reshape(-1, 2), 1), FREQUENCIES_HZ)
+        return np.einsum("pnf,n->pf", z.reshape(12 * 9, rule.count, -1), rule.pixel_weights).reshape(
+            9, 12, -1
+        )
+
+    exact = image(48)
+    found = relative(gather_direct(scene, grid, FREQUENCIES_HZ, 1).phasors, exact)
+    assert found.max() < 2.5e-6  # 1 % of a hidden signal of 2e-4
+    assert found.max() < relative(image(direct_order(12, FREQUENCIES_HZ)), exact).max() / 4

@@ -254,6 +254,7 @@ def test_hidden_noise_falls_with_the_square_root_of_the_paths(rough_cube, varian
     assert noise(64) / noise(1024) == pytest.approx(4, rel=0.35)
 
 
+@pytest.mark.long
 def test_many_passes_and_row_blocks_measure_the_same_scene(rough_cube, variant, monkeypatch):
     scene = load(rough_cube)
     whole = phasors(measure(scene, 1024, variant, max_bounces=1), FREQUENCIES_HZ, 0.01)

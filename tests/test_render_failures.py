@@ -3,6 +3,7 @@
 import re
 import shutil
 
+import pytest
 from night_commands import night_here
 from render_runs import results
 
@@ -22,6 +23,7 @@ def test_a_scene_that_cannot_be_rendered_leaves_the_others_alone(three_missing, 
     assert results(three_missing) == results(seven_renders)
 
 
+@pytest.mark.long
 def test_scenes_whose_description_is_gone_fail_alone(three_missing, seven_renders, render_here):
     scenes, kept = three_missing / "scenes", three_missing.parent / "kept"
     shutil.copytree(scenes, kept)

@@ -36,6 +36,7 @@ def kill_with_workers(process):
     process.communicate()
 
 
+@pytest.mark.long
 def test_a_killed_command_leaves_what_an_undisturbed_one_does(three_missing, seven_renders, render_here):
     process = start_render(three_missing)
     wait_for(lambda: begun(claim_of(three_missing, "000005")))  # so 000004 is done

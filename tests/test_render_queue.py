@@ -23,6 +23,7 @@ def both(seven_scenes, render_cluster, tmp_path_factory):
     return data, [(process.returncode, *output) for process, output in zip(processes, outputs, strict=True)]
 
 
+@pytest.mark.long
 def test_two_commands_at_once_share_the_work(both, seven_renders):
     data, ended = both
     counts = [re.match(r"(\d+) scenes rendered, (\d+) were there", output) for _, output, _ in ended]

@@ -40,6 +40,7 @@ def test_the_small_product_is_the_images_of_the_large_one_alone(unrendered, seve
         assert files[name] == (seven_renders / "renders" / "000003" / name).read_bytes()
 
 
+@pytest.mark.long
 def test_transients_can_be_dropped_and_a_larger_product_adds_them_again(
     rendered_copy, seven_renders, render_here
 ):

@@ -88,6 +88,7 @@ def after_deaths(seven_renders, tmp_path_factory):
     return data, process.returncode, output, errors
 
 
+@pytest.mark.long
 def test_a_worker_killed_in_a_scene_costs_one_retry_of_that_scene(after_deaths, seven_renders):
     data = after_deaths[0]
     failures = [line for line in run_log(data).splitlines() if "000005 failed on" in line]
@@ -101,6 +102,7 @@ def test_a_worker_killed_in_a_scene_costs_one_retry_of_that_scene(after_deaths, 
     }
 
 
+@pytest.mark.long
 def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
     after_deaths, seven_renders, render_here, tmp_path
 ):

@@ -84,6 +84,7 @@ def test_a_mesh_of_another_size_key_fills_that_box(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices - centre, axis=1), 0.15, atol=1e-6)
 
 
+@pytest.mark.long
 def test_meshes_are_the_same_bytes_from_workers_and_stand_in_composites(tmp_path):
     preset = with_mesh(tmp_path, exported(trimesh.creation.icosphere(subdivisions=2)))
     text = preset.read_text().replace("count = 3", "count = 24").replace("= 0.0", "= 0.5")

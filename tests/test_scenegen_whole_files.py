@@ -171,6 +171,7 @@ def test_leftovers_that_cannot_be_removed_stop_nobody(tmp_path, monkeypatch):
     assert (tmp_path / "y").read_text() == "whole"
 
 
+@pytest.mark.long
 def test_readers_find_the_folder_while_two_threads_replace_it(tmp_path):
     texts = [{"a": text, "b": text} for text in "123"]
     write_folder(tmp_path / "x", texts[2])

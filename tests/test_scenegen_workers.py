@@ -24,6 +24,7 @@ def test_one_and_three_processes_write_the_same_bytes(maker, tmp_path):
     assert contents(tmp_path / "three") == contents(tmp_path / "one")
 
 
+@pytest.mark.long
 def test_workers_add_the_scenes_that_one_process_would_and_touch_nothing_that_is_there(maker, tmp_path):
     count = 40  # three chunks for two workers, the last one not full
     generate(tmp_path / "once", of_seed_5(count), maker, lambda: None)
@@ -85,6 +86,7 @@ def test_a_killed_worker_ends_the_command_with_one_sentence(working, tmp_path):
     assert not (tmp_path / "data" / "dataset.json").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "code"),
     [(signal.SIGINT, 128 + signal.SIGINT), (signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGKILL, -9)],
