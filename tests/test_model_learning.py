@@ -97,6 +97,7 @@ def test_a_small_network_finds_a_disc_of_known_place_to_within_two_pixels(judged
     assert prediction.miou.mean > max(miou for _, miou in moved)
 
 
+@pytest.mark.long
 def test_training_and_evaluation_end_to_end_beat_no_object(judged, many_scenes):
     report, folder = judged
     assert len(report.scenes) == len(many_scenes.ids("test"))
