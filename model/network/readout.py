@@ -24,8 +24,8 @@ class Readout:
     mask_threshold : a pixel shows the object if its amplitude is at least this. The ground truth has the
         amplitudes 0 and 1; 0.5 is halfway.
     dead_zone : components of smaller magnitude become 0 before mask and depth are computed. 0.05 in the
-        paper: this moves phases within 0.05 rad of an axis onto that axis, up to 6 cm at 20 MHz. 0 switches
-        it off.
+        released code: this moves phases within 0.05 rad of an axis onto that axis, up to 6 cm at 20 MHz. 0
+        switches it off.
 
     Source: Bengio et al., "Estimating or propagating gradients through stochastic neurons", 2013.
     """
