@@ -36,8 +36,8 @@ NotNegative = Annotated[float, Field(ge=0)]
 class TrainSettings:
     """Everything that decides a training run.
 
-    docs/paper.md says which defaults are the paper's; the preset ``paper`` has all values of the paper. Options
-    of ``night-train`` are made of these fields: the text below a field is its description there.
+    docs/paper.md says which defaults are the paper's; the preset ``paper`` has all values of the paper.
+    Options of ``night-train`` are made of these fields: the text below a field is its description there.
     """
 
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
