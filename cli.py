@@ -20,6 +20,7 @@ from commandline.options import (
     DEVICE,
     FOLDER,
     FORCE,
+    MASK_FROM,
     MASK_THRESHOLD,
     ONLY,
     PRESET,
@@ -295,6 +296,7 @@ def night_eval() -> None:
     show_default=True,
     help="Scenes to judge by.",
 )
+@MASK_FROM
 @MASK_THRESHOLD
 @DEVICE
 @JSON

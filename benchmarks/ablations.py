@@ -46,6 +46,7 @@ ROWS = (
     Row("ablation-mse", "loss: MSE", "13.72 / 0.66"),
     Row("ablation-mse-iou", "loss: MSE and IoU", "5.93 / 0.77"),
     Row("ablation-mae-iou", "loss: MAE and IoU", "5.21 / 0.77"),
+    Row("ablation-mae-lovasz", "loss: MAE and Lovász"),
     Row("ablation-components", "error of the components"),
     Row("ablation-depth", "error of the depth"),
     Row("ablation-paper-channels", "channels: the paper's seven", "5.21 / 0.77"),

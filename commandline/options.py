@@ -178,6 +178,11 @@ MASK_THRESHOLD = click.option(
     type=click.FloatRange(min=0, min_open=True),
     help="Amplitude from which on a pixel shows the object, instead of the run's.",
 )
+MASK_FROM = click.option(
+    "--mask-from",
+    type=click.Choice(["amplitude", "depth"]),
+    help="What of the output says whether a pixel shows the object, instead of the run's.",
+)
 RESCALE = click.option(
     "--rescale/--no-rescale",
     default=None,

@@ -24,7 +24,8 @@ def network_channels(phasor: Any, amplitude_scale: float) -> Any:
     Parameters
     ----------
     phasor : (..., H, W, F) complex.
-    amplitude_scale : positive constant of the dataset, in the unit of `phasor`; A_0 / scale is about 1.
+    amplitude_scale : positive constant of the dataset, in the unit of `phasor`, for example its mean or
+        largest A_0.
 
     Returns
     -------

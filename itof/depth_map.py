@@ -30,7 +30,7 @@ class DepthMap:
     phasor : (..., H, W) complex at `frequency_hz`; ground truth has amplitude 1 on the object, else 0.
     frequency_hz : modulation frequency of the phasor, Hz.
 
-    Source: Caligiuri et al. 2024, sec. 4.1 (the mirror trick).
+    Source: Caligiuri et al. 2024, sec. 4.1 (the mirror trick); their released code (amplitude 1).
     """
 
     radial_depth_m: NDArray[np.floating[Any]]

@@ -34,7 +34,7 @@ class MeasurementMatrix:
     ValueError : no frequencies, no bins, a width that is not positive, or a frequency at or above
         c / (2 bin_width_m), which these bins cannot resolve.
 
-    Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); bin centres are our choice.
+    Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); cosines, sines and bin centres are our choice.
     """
 
     frequencies_hz: tuple[float, ...]
@@ -120,7 +120,7 @@ def phasors(
     ------
     ValueError : a frequency at or above c / (2 bin_width_m), which these bins cannot resolve.
 
-    Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); bin centres are our choice.
+    Source: Caligiuri et al. 2024, sec. 3.2 (c_mf = Φ x); cosines, sines and bin centres are our choice.
     """
     x = np.asarray(transient)
     return MeasurementMatrix(tuple(frequencies_hz), x.shape[-1], bin_width_m, start_opl_m).apply(x)

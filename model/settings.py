@@ -15,10 +15,13 @@ from scenegen.contract import STRICT, Positive, WholeCount, checked
 
 Channels = Literal["paper", "residual", "paper+residual"]
 CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
-LossName = Literal["mae", "mse", "mae+iou", "mse+iou"]
-LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou")
+AmplitudeDivisor = Literal["mean", "maximum"]
+LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz"]
+LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou", "mae+lovasz")
+Balance = Literal["image", "dataset", "class-means"]
 LossTarget = Literal["components", "depth"]
 LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
+MaskSource = Literal["amplitude", "depth"]
 DeviceName = Literal["auto", "cpu", "cuda"]
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
 Precision = Literal["auto", "float32", "bfloat16", "float16"]
@@ -33,24 +36,33 @@ NotNegative = Annotated[float, Field(ge=0)]
 class TrainSettings:
     """Everything that decides a training run.
 
-    The defaults are the paper's where it gives a value, except for `channels` (docs/paper.md). Options of
-    ``night-train`` are made of these fields: the text below a field is its description there.
+    docs/paper.md says which defaults are the paper's; the preset ``paper`` has all values of the paper.
+    Options of ``night-train`` are made of these fields: the text below a field is its description there.
     """
 
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
     """Network input. With paper alone the network learns little (docs/design.md)."""
+    amplitude_divisor: AmplitudeDivisor = "mean"
+    """The amplitude channel is divided by this amplitude of the training scenes; the paper: to [0, 1]."""
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
     """Channels of the U-Net's first level."""
     loss: LossName = "mae+iou"
-    """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou)."""
+    """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou or lovasz)."""
     loss_on: LossTarget = "components"
     """What the error is taken on: Re and Im of the output, or the depth in metres."""
     alpha: NotNegative = 1 / 7
-    """Weight of object pixels in the error; 1 balances object and background."""
+    """Weight of object pixels in the error; with balance image, 1 balances object and background."""
+    balance: Balance = "image"
+    """Weight of object pixels by the numbers of pixels of the image, or of the whole training set (released
+    code), or mean error of either class (text of the paper)."""
+    mask_from: MaskSource = "amplitude"
+    """What of the output says whether a pixel shows the object; depth as in the paper."""
     mask_threshold: Positive = 0.5
     """Amplitude of the output from which on a pixel shows the object."""
+    mask_depth_m: NotNegative = 0.0
+    """With mask_from depth: radial depth in metres above which a pixel shows the object."""
     dead_zone: NotNegative = 0.05
     """Components of the output below this become 0 before mask and depth are taken."""
     learning_rate: Positive = 1e-4
@@ -81,6 +93,10 @@ class TrainSettings:
     """Change the exposure at random by a factor of up to 1 + this."""
     noise_sigma: NotNegative = 1e-4
     """Noise on each component, as a fraction of the amplitude at the first frequency."""
+    channel_noise_sigma: NotNegative = 0.0
+    """Noise on each normalised input channel; the paper: 1."""
+    channel_noise_fraction: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """Part of the images that get the noise on the channels; the released code: about 1/7."""
     precision: Precision = "float32"
     """Number type of the convolutions; auto: bfloat16 where the processor computes in it."""
     channels_last: bool = True

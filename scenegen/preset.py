@@ -1,6 +1,7 @@
 """Presets: every number of a dataset, with its unit and its allowed range; read from TOML, checked once.
 
-Defaults are the values of Caligiuri et al. 2024 where the paper gives them.
+Defaults are the values of Caligiuri et al. 2024 where the paper gives them, else those of the released code,
+else ours (docs/design.md, Scene).
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ class DatasetSettings:
     """Number of scenes, random seed, and split into train, validation and test.
 
     `test_fraction` is a fraction of all scenes, `validation_fraction` of the scenes that are not for testing.
+    The paper describes no validation split; its size is ours.
     """
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1344  # ids have six digits
@@ -86,8 +88,9 @@ class RotationRanges:
 class ShapeSizes:
     """Extents of each primitive along its own axes, and the longest side of every mesh; metres.
 
-    The paper gives only a box of 0.5 m. With these sizes, the ratio of background to object pixels is that
-    of the paper (docs/design.md, Primitive sizes). The extents of the concave plane are sagitta, chord and
+    The paper gives only "up to 0.5 m³", which is ambiguous. With these sizes, the ratio of background to
+    object pixels is near that of the released code's training log (docs/design.md, Primitive sizes). The
+    extents of the concave plane are sagitta, chord and
     height of an arc of radius 0.35 m over ±1 rad, 0.6 m high.
     """
 
@@ -198,7 +201,7 @@ class GroundTruthSettings:
     """What the mirrored scenes of the ground truth contain.
 
     `mirror_occluders`: whether the mirror image of the middle wall hides objects, as in a real mirror. The
-    paper's mirrored scenes have the mirror image of the object only.
+    paper's recipe (sec. 4.1) flips the object only.
     """
 
     mirror_occluders: bool = False
@@ -206,7 +209,7 @@ class GroundTruthSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class Preset:
-    """All settings of a dataset. The default of every key is the paper's value."""
+    """All settings of a dataset. The defaults are those of the preset ``paper``."""
 
     dataset: DatasetSettings = DatasetSettings()
     hidden_object: HiddenObjectSettings = HiddenObjectSettings()
@@ -215,7 +218,7 @@ class Preset:
     camera: CameraSettings = CameraSettings()
     transient: TransientSettings = TransientSettings()
     itof: ItofSettings = ItofSettings()
-    # Left out of files where it is the paper's, so that they have the bytes of version 0.1.
+    # Left out of files where it is the default, so that they have the bytes of version 0.1.
     ground_truth: Annotated[
         GroundTruthSettings, Field(exclude_if=lambda value: value == GroundTruthSettings())
     ] = GroundTruthSettings()

@@ -96,8 +96,8 @@ def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
 
     Composites are distributed evenly over the scenes; the other classes take turns. The scenes of each
     class are distributed evenly over the splits, and each class starts at another point of the cycle. This
-    makes the totals exact, too (Hermite's identity): of the paper's 1344 scenes, 860 are for training, 215
-    for validation and 269 for testing.
+    makes the totals exact, too (Hermite's identity): of 1344 scenes, 860 are for training, 215 for validation
+    and 269 for testing. The paper has 1075 and 269, and describes no validation split.
     """
     settings = preset.dataset
     fraction = preset.hidden_object.composite_fraction
@@ -116,8 +116,8 @@ def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
 def leaks(scenes: Iterable[Scene]) -> list[str]:
     """One sentence for each test scene that shares an object's location or orientation with another split.
 
-    The paper's rule is: no object of the train set appears in the test set at the same location or
-    orientation. The list is empty where the rule holds.
+    The paper's rule (sec. 5.2): an object of the training set is in the test set neither at the same location
+    nor with the same orientation. The list is empty where the rule holds.
     """
     places = [
         (

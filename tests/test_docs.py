@@ -114,6 +114,14 @@ def test_the_benchmarks_of_a_page_have_the_options_that_it_gives_them(page):
             ] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_the_tests_that_a_page_names_exist(page):
+    named = set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text()))
+    assert [
+        f"{file}::{test}" for file, test in named if f"\ndef {test}(" not in (ROOT / file).read_text()
+    ] == []
+
+
 def test_docstrings_cite_sections_that_the_design_page_has():
     sections = tuple(headings(ROOT / "docs/design.md"))
     wrong = []

@@ -205,3 +205,55 @@ def test_another_exposure_changes_the_amplitude_channel_alone():
     torch.testing.assert_close(result[:, 1:], plain[:, 1:], rtol=0, atol=5e-4)
     assert float(gain.min()) >= 0.5
     assert float(gain.max()) <= 2
+
+
+def test_noise_of_the_channels_has_its_deviation_on_each_of_them_and_is_each_images_own():
+    rows, maker, _, _ = measured_rows(200)
+    draws, plain = draws_of(200), maker.batch(rows).channels  # (N, C, H, W)
+    noisy = Augmentation(channel_noise_sigma=1.0)(rows, maker, draws)
+    noise = noisy.channels - plain
+    # n = 12000 values a channel: the deviation has a relative error of 1 / sqrt(2 n) = 0.65 %, the mean one
+    # of 1 / sqrt(n) = 0.9 %; 4.5 of those.
+    channels = torch.ones(plain.shape[1])
+    torch.testing.assert_close(noise.std(dim=(0, 2, 3)), channels, rtol=0.03, atol=0)
+    torch.testing.assert_close(noise.mean(dim=(0, 2, 3)), 0 * channels, rtol=0, atol=0.041)
+    apart = [torch.corrcoef(pair)[0, 1] for pair in (noise[:2].flatten(1), noise[0, :2].flatten(1))]
+    assert max(map(abs, apart)) < 4.5 / (HEIGHT * WIDTH) ** 0.5  # images, and channels of an image
+    alone = Augmentation(channel_noise_sigma=1.0).seen(plain[7:8], draws[7:8])
+    assert torch.equal(alone[0], noisy.channels[7])
+    for name in ("target", "radial_depth_m", "mask"):
+        assert torch.equal(getattr(noisy, name), getattr(maker.batch(rows), name)), name
+
+
+def test_noise_of_the_channels_is_not_smoothed_by_a_rotation():
+    rows, maker, _, _ = measured_rows(200)
+    turned = replace(PAPER, channel_noise_sigma=1.0)(rows, maker, draws_of(200)).channels
+    noise = turned - PAPER(rows, maker, draws_of(200)).channels
+    # Bilinear interpolation of noise would leave 2/3 of its deviation on the average over positions.
+    assert float(noise.std()) == pytest.approx(1, rel=0.01)
+
+
+def test_noise_of_the_channels_and_of_the_phasors_are_different_numbers():
+    rows, _, _, _ = measured_rows(200)
+    draws = draws_of(200)
+    phasor = rows.complex_phasors()
+    sensor = Augmentation(noise_sigma=1.0).measured(phasor, draws) - phasor
+    relative = torch.view_as_real(sensor / phasor[..., :1].abs()).flatten()[: 200 * HEIGHT * WIDTH]
+    channels = torch.zeros(200, 4, HEIGHT, WIDTH)
+    other = Augmentation(channel_noise_sigma=1.0).seen(channels, draws).flatten()[: len(relative)]
+    assert abs(float(torch.corrcoef(torch.stack([relative, other]))[0, 1])) < 4.5 / len(relative) ** 0.5
+
+
+def test_a_fraction_of_the_images_gets_the_noise_of_the_channels():
+    channels, draws = torch.zeros(3500, 1, 1, 2), draws_of(3500)
+    noisy = Augmentation(channel_noise_sigma=0.03, channel_noise_fraction=1 / 7).seen(channels, draws)
+    chosen = (noisy != 0).all(dim=(1, 2, 3))
+    assert torch.equal(chosen, (noisy != 0).any(dim=(1, 2, 3)))  # an image as a whole
+    # Binomial: 500 +- sqrt(3500 * 6 / 49) = 21; 4.5 of those.
+    assert abs(int(chosen.sum()) - 500) < 93
+    # 1000 values: the deviation has a relative error of 2.2 %.
+    assert float(noisy[chosen].std()) == pytest.approx(0.03, rel=0.1)
+    everyone = Augmentation(channel_noise_sigma=0.03).seen(channels, draws)
+    assert torch.equal(everyone[chosen], noisy[chosen])
+    nobody = Augmentation(channel_noise_sigma=0.03, channel_noise_fraction=0.0).seen(channels, draws)
+    assert torch.equal(nobody, channels)

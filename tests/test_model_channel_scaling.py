@@ -46,3 +46,18 @@ def test_numbers_that_overflow_name_the_folder_of_the_shards(shards, monkeypatch
     monkeypatch.setattr(Shards, "read", glaring)
     with pytest.raises(ChannelError, match="shards have numbers that are too large"):
         fit_input_spec("residual", shards, shards.rows("train"))
+
+
+def test_an_amplitude_channel_divided_by_the_maximum_of_the_training_scenes_fills_zero_to_one(shards):
+    rows = shards.rows("train")
+    by_mean, spec = (
+        fit_input_spec("paper+residual", shards, rows, amplitude_divisor=divisor)
+        for divisor in ("mean", "maximum")
+    )
+    network_input = spec.apply(shards.complex_phasors(rows), shards.reference)  # (N, C, H, W)
+    assert network_input[:, 0].max() == pytest.approx(1, rel=1e-6)
+    assert network_input[:, 0].min() > 0
+    plain = by_mean.apply(shards.complex_phasors(rows), shards.reference)
+    np.testing.assert_array_equal(network_input[:, 1:], plain[:, 1:])  # no other channel depends on it
+    np.testing.assert_allclose(network_input[:, 0], plain[:, 0] / plain[:, 0].max(), rtol=1e-6)
+    assert spec.mean_amplitude == by_mean.mean_amplitude == by_mean.amplitude_scale < spec.amplitude_scale

@@ -11,6 +11,7 @@ from model.network.loss import NightLoss, intersection_over_union
 from model.network.readout import Readout
 
 READOUT = Readout(20e6)
+BY_DEPTH = Readout(20e6, mask_from="depth")
 HEIGHT, WIDTH = 2, 3
 
 
@@ -98,9 +99,59 @@ def test_the_ablations_of_a_hand_made_prediction(on):
         "mse": error(2),
         "mae+iou": (error(1) + no_overlap) / 2,
         "mse+iou": (error(2) + no_overlap) / 2,
+        "mae+lovasz": (error(1) + no_overlap) / 2,  # the presence is 0 or 1, so the extension is 1 - IoU
     }
     found = {name: float(NightLoss(READOUT, name, on)(output, target, depth_m, mask)) for name in expected}
     assert found == pytest.approx(expected, rel=1e-5)
+
+
+def weighted_images() -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
+    """Images with 1, 2, 5 and 0 object pixels of 6; every object pixel errs by 0.4, every other by 0.1."""
+    masks = torch.zeros(4, HEIGHT, WIDTH)
+    for index, count in enumerate((1, 2, 5, 0)):
+        masks[index].view(-1)[:count] = 1
+    target, depth_m, mask = truth(masks)
+    return target + torch.where(mask[:, None] > 0, 0.4, 0.1), (target, depth_m, mask)
+
+
+@pytest.mark.parametrize(
+    ("balance", "expected"),
+    [
+        # alpha B / O of the image, times the sum over object pixels by all pixels, and the background's
+        ("image", [0.5 * 5 * 0.4 / 6 + 0.5 / 6, 0.5 * 2 * 0.8 / 6 + 0.4 / 6, 0.1 * 2.0 / 6 + 0.1 / 6, 0.1]),
+        # alpha 30 in every image, the same sums
+        ("dataset", [15 * 0.4 / 6 + 0.5 / 6, 15 * 0.8 / 6 + 0.4 / 6, 15 * 2.0 / 6 + 0.1 / 6, 0.1]),
+        # alpha B / O of the image, times the mean of each class
+        ("class-means", [0.5 * 5 * 0.4 + 0.1, 0.5 * 2 * 0.4 + 0.1, 0.1 * 0.4 + 0.1, 0.1]),
+    ],
+)
+def test_every_balance_weights_object_and_background_as_computed_by_hand(balance, expected):
+    output, images = weighted_images()
+    loss = NightLoss(READOUT, "mae", alpha=0.5, balance=balance, background_per_object=30.0)
+    torch.testing.assert_close(loss.mean_error(output, *images), torch.tensor(expected))
+
+
+def test_class_means_are_the_sums_with_another_alpha_at_one_ratio_of_the_classes_only():
+    # With B / O = r the ratio of object to background is alpha r^2 for means and alpha r for sums.
+    output, images = weighted_images()
+    seen = {}
+    for balance, alpha in (("class-means", 1 / 7), ("image", 5 / 7)):  # image 0: r = 5
+        loss = NightLoss(READOUT, "mae", alpha=alpha, balance=balance)
+        on_object = loss.mean_error(torch.where(images[2][:, None] > 0, output, images[0]), *images)
+        seen[balance] = on_object / (loss.mean_error(output, *images) - on_object)
+    assert float(seen["class-means"][0]) == pytest.approx(float(seen["image"][0]), rel=1e-5)
+    assert float(seen["class-means"][1]) < 0.5 * float(seen["image"][1])  # r = 2: 2 / 5 of it
+
+
+def test_the_balance_of_a_dataset_without_its_ratio_is_refused():
+    with pytest.raises(ValueError, match="background_per_object"):
+        NightLoss(READOUT, balance="dataset")
+
+
+def test_class_means_of_an_image_that_is_all_object_are_finite():
+    target, depth_m, mask = truth(torch.ones(1, HEIGHT, WIDTH))
+    loss = NightLoss(READOUT, "mae", balance="class-means")
+    assert float(loss(0 * target, target, depth_m, mask)) == 0  # |B| = 0: the text's weight is 0
 
 
 def test_an_image_without_object_costs_only_its_false_pixels():
@@ -168,6 +219,63 @@ def test_small_components_are_zeroed_forward_and_passed_backward():
     components.sum().backward()
     assert torch.equal(output.grad, torch.ones_like(output))
     assert torch.equal(Readout(20e6, dead_zone=0.0).components(output), output)
+
+
+def test_a_mask_of_the_depth_is_what_lies_above_the_threshold_in_metres():
+    depth_m = torch.tensor([0.4, 2.9, 3.1, 7.0])
+    z = phasor_of_return(depth_m.numpy(), 20e6)
+    output = torch.from_numpy(np.stack([z.real, z.imag])[None, :, None]).float()  # (1, 2, 1, 4)
+    faint = 0.2 * output  # below the threshold of the amplitude; one component at least is above 0.05
+    for shown in (output, faint):
+        assert BY_DEPTH.mask(shown).tolist() == [[[1.0, 1.0, 1.0, 1.0]]]
+        above = Readout(20e6, mask_from="depth", mask_depth_m=3.0)
+        assert above.mask(shown).tolist() == [[[0.0, 0.0, 1.0, 1.0]]]
+        torch.testing.assert_close(
+            above.radial_depth_m(output)[0, 0], depth_m * (depth_m > 3), rtol=1e-5, atol=0
+        )
+    assert READOUT.mask(faint).sum() == 0
+    background = torch.tensor([[[[0.0, 0.04, 1.0]], [[0.0, -0.04, 0.04]]]])  # nothing, dead zone, phase 0
+    assert BY_DEPTH.mask(background).sum() == 0
+    assert torch.count_nonzero(BY_DEPTH.radial_depth_m(background)) == 0
+
+
+def test_the_gradient_of_a_mask_of_the_depth_is_that_of_the_depth_where_the_mask_can_change():
+    output = torch.tensor([[[[-0.6, 0.8, 0.03]], [[0.8, -0.6, 0.04]]]], dtype=torch.float64)
+    # d phase = (-Im, Re) / amplitude^2; the last pixel is in the dead zone, and its amplitude counts as 0.05.
+    per_metre = np.array([[[-0.8, 0.6, -0.04 / 0.05**2]], [[-0.6, 0.8, 0.03 / 0.05**2]]])
+    expected = torch.from_numpy(BY_DEPTH.metres_per_radian * per_metre)
+    for sign, moves in ((1, [1.0, 1.0, 0.0]), (-1, [0.0, 0.0, 1.0])):  # lower the mask; raise it
+        leaf = output.clone().requires_grad_()
+        (sign * BY_DEPTH.mask(leaf)).sum().backward()
+        torch.testing.assert_close(leaf.grad[0], sign * expected * torch.tensor(moves, dtype=torch.float64))
+        leaf = output.clone().requires_grad_()
+        (sign * BY_DEPTH.radial_depth_m(leaf)).sum().backward()
+        torch.testing.assert_close(leaf.grad[0], sign * expected)
+
+
+@pytest.mark.parametrize("name", ["mae+iou", "mae+lovasz"])
+@pytest.mark.parametrize("variant", ["components", "depth"])
+def test_descent_with_a_mask_of_the_depth_finds_the_object_and_stays_at_its_depth(variant, name):
+    target, depth_m, mask = truth(one_object().repeat(2, 1, 1))
+    output = 1e-3 * torch.randn(target.shape, generator=torch.Generator().manual_seed(2))
+    output[0] = 0
+    loss = NightLoss(BY_DEPTH, name, variant)
+    output.requires_grad_()
+    for step in [0.5] * 1600 + [0.05] * 300:
+        (gradient,) = torch.autograd.grad(loss(output, target, depth_m, mask), output)
+        assert torch.isfinite(gradient).all()
+        output.data -= step * gradient
+    assert torch.equal(BY_DEPTH.mask(output.detach()), mask)
+    # As above with a tenth of the step; but with the error of the depth, nothing pulls the amplitude to 1,
+    # and a step turns the phase by 1 / amplitude times as much.
+    assert (BY_DEPTH.radial_depth_m(output.detach()) - depth_m).abs().max() < 0.024
+
+
+def test_the_true_output_is_at_rest_under_the_overlap_of_masks_of_the_depth():
+    target, _, mask = truth(one_object())
+    output = target.clone().requires_grad_()
+    (1 - intersection_over_union(BY_DEPTH.mask(output), mask)).sum().backward()
+    assert torch.count_nonzero(output.grad) == 0
 
 
 def test_depth_is_that_of_itof_over_the_whole_range_and_zero_off_the_mask():

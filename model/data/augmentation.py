@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import pi
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -83,8 +84,8 @@ class Draws:
     coins : (N, 2) bool, for the flips of rows and of columns.
     turn, brightness : (N,) in [-1, 1).
     shift : (N, 2) in [-1, 1).
-    noise_seed : (N,) int64, seed of each image's noise. Because every image has its own, its noise does not
-        depend on its batch or process.
+    noise_seed : (N,) int64, seed of each image's noise, of the phasors and of the channels. Because every
+        image has its own, its noise does not depend on its batch or process.
     """
 
     coins: Tensor
@@ -113,8 +114,9 @@ class Draws:
 class Augmentation:
     """Random changes of training images; the defaults change nothing.
 
-    Brightness and noise change the measurement. The input channels are then computed from it, and `Warp`
-    transforms channels and ground truth.
+    Brightness and noise of the phasors change the measurement. The input channels are then computed from it,
+    `Warp` transforms channels and ground truth, and the noise of the channels is added at last, so that no
+    interpolation makes it smaller.
 
     Attributes
     ----------
@@ -126,8 +128,13 @@ class Augmentation:
         uniform in its logarithm. Exact: another exposure or emitter power has the same effect.
     noise_sigma : standard deviation of Gaussian noise on each phasor component, as a fraction of the pixel's
         amplitude at the first frequency.
+    channel_noise_sigma : standard deviation of Gaussian noise on every input channel, in the channel's own
+        unit. In the paper's channels, 1 is about 500 times the hidden light of a pixel; in the residual
+        channels, which have unit variance, it is as much as the hidden light (docs/training.md).
+    channel_noise_fraction : probability with which an image gets the noise of the channels.
 
-    Source: Caligiuri et al. 2024, sec. 5.1 (flips, rotation and translation).
+    Source: Caligiuri et al. 2024, sec. 4.2 (flips, rotation, translation, and noise with deviation 1); noise
+    on the channels, and on a part of the images, as in the released code.
     """
 
     flip_rows: bool = False
@@ -136,6 +143,8 @@ class Augmentation:
     translation: float = 0.0
     amplitude_spread: float = 0.0
     noise_sigma: float = 0.0
+    channel_noise_sigma: float = 0.0
+    channel_noise_fraction: float = 1.0
 
     @classmethod
     def of(cls, settings: TrainSettings) -> Augmentation:
@@ -161,9 +170,19 @@ class Augmentation:
             phasor = phasor + self.noise_sigma * phasor[..., :1].abs() * noise
         return phasor
 
+    def seen(self, channels: Tensor, draws: Draws) -> Tensor:
+        """(N, C, H, W) input channels, with noise on the images that get it."""
+        if not (self.channel_noise_sigma > 0 and self.channel_noise_fraction > 0):
+            return channels
+        noise = [
+            _channel_noise(channels[0], int(seed), self.channel_noise_fraction) for seed in draws.noise_seed
+        ]
+        return channels + self.channel_noise_sigma * torch.stack(noise)
+
     def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
         """The batch of `rows`, each row changed by its draws."""
-        return self.warp(draws)(maker.batch(rows, self.measured(maker.measured(rows), draws)))
+        batch = self.warp(draws)(maker.batch(rows, self.measured(maker.measured(rows), draws)))
+        return replace(batch, channels=self.seen(batch.channels, draws))
 
 
 def _noise(like: Tensor, seed: int) -> Tensor:
@@ -171,3 +190,15 @@ def _noise(like: Tensor, seed: int) -> Tensor:
     generator = torch.Generator(like.device).manual_seed(seed)
     components = torch.randn(*like.shape, 2, generator=generator, device=like.device)
     return torch.view_as_complex(components)
+
+
+def _channel_noise(like: Tensor, seed: int, fraction: float) -> Tensor:
+    """Gaussian noise with variance 1, shaped like `like` and on its device, or 0.
+
+    It is 0 with probability 1 - `fraction`. Its stream is another than that of `_noise` with the same seed.
+    """
+    own_seed, coin = np.random.SeedSequence((seed, 1)).generate_state(2, np.uint64)
+    if int(coin) >= fraction * 2**64:
+        return torch.zeros_like(like)
+    generator = torch.Generator(like.device).manual_seed(int(own_seed >> np.uint64(1)))
+    return torch.randn(like.shape, generator=generator, device=like.device, dtype=like.dtype)

@@ -11,7 +11,7 @@ from itof import amplitude, residual_channels
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
 from model.network.channels import ChannelError, InputSpec
-from model.settings import Channels
+from model.settings import AmplitudeDivisor, Channels
 
 
 def fit_input_spec(
@@ -19,6 +19,7 @@ def fit_input_spec(
     shards: Shards,
     rows: Sequence[int],
     frequencies_hz: Sequence[float] | None = None,
+    amplitude_divisor: AmplitudeDivisor = "mean",
 ) -> InputSpec:
     """The input channels, scaled by the training scenes; reads one piece of the shards at a time.
 
@@ -27,6 +28,9 @@ def fit_input_spec(
     channels : set of channels.
     rows : rows of the training scenes.
     frequencies_hz : modulation frequencies of the input, Hz; None for all of the shards.
+    amplitude_divisor : the amplitude channel is divided by the mean of the amplitude over all pixels of the
+        training scenes, so that its mean is 1, or by its maximum, so that it lies in [0, 1] as in the paper.
+        Scenes that are brighter than all training scenes exceed 1.
 
     Raises
     ------
@@ -44,16 +48,18 @@ def fit_input_spec(
     )
     places = unscaled.places(available)
     reference = shards.reference[..., places]
-    amplitudes, means, squares = [], [], []
+    amplitudes, brightest, means, squares = [], 0.0, [], []
     for phasor in _phasors(shards, rows):
-        amplitudes.append(amplitude(phasor[..., places[0]]).mean())
+        first = amplitude(phasor[..., places[0]])  # (H, W)
+        amplitudes.append(first.mean())
+        brightest = max(brightest, float(first.max()))
         if unscaled.uses_residual:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 residual = residual_channels(phasor[..., places], reference)  # (2F - 1, H, W)
                 residual = residual.astype(np.float64)
                 means.append(residual.mean(axis=(1, 2)))
                 squares.append((residual**2).mean(axis=(1, 2)))
-    if not np.isfinite([*amplitudes, *np.ravel(squares)]).all():
+    if not np.isfinite([*amplitudes, brightest, *np.ravel(squares)]).all():
         raise ChannelError(
             f"the phasors.npy of {shards.folder} have numbers that are too large: delete that folder, and it "
             "is made again"
@@ -65,7 +71,10 @@ def fit_input_spec(
         variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
         # A constant channel carries no information, so its scale does not matter.
         residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
-    return InputSpec(channels, chosen, float(np.mean(amplitudes)), residual_scale, "measured")
+    mean = float(np.mean(amplitudes))
+    if amplitude_divisor == "mean":
+        return InputSpec(channels, chosen, mean, residual_scale, "measured")
+    return InputSpec(channels, chosen, brightest, residual_scale, "measured", training_mean_amplitude=mean)
 
 
 def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:

@@ -36,10 +36,12 @@ class InputSpec:
     ----------
     channels : one of the two sets, or both, paper first.
     frequencies_hz : F modulation frequencies of the input, Hz.
-    amplitude_scale : mean A_0 of the training scenes, in the unit of the phasors.
+    amplitude_scale : what the amplitude channel is divided by, in the unit of the phasors: mean or maximum of
+        A_0 over the training scenes.
     residual_scale : 2F - 1 standard deviations, dimensionless; empty if `channels` has no residual.
     subpixel_weights : how `itof.residual_channels` weights the paths within a pixel. ``uniform`` in runs of
         version 0.1, whose ``run.json`` has no such key: they see what they were trained with.
+    training_mean_amplitude : mean A_0 of the training scenes; None if `amplitude_scale` is the mean.
 
     Raises
     ------
@@ -55,6 +57,7 @@ class InputSpec:
     subpixel_weights: Annotated[SubpixelWeights, Field(exclude_if=lambda value: value == "uniform")] = (
         "uniform"
     )
+    training_mean_amplitude: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
 
     def __post_init__(self) -> None:
         expected = self._residual_count if self.uses_residual else 0
@@ -63,6 +66,11 @@ class InputSpec:
                 f"channels {self.channels} at {len(self.frequencies_hz)} frequencies need {expected} "
                 f"residual scales, got {len(self.residual_scale)}"
             )
+
+    @property
+    def mean_amplitude(self) -> float:
+        """Mean A_0 of the training scenes, in the unit of the phasors."""
+        return self.training_mean_amplitude or self.amplitude_scale
 
     @property
     def uses_residual(self) -> bool:

@@ -8,7 +8,11 @@ import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
-from model.settings import TrainSettings
+from model.settings import MaskSource, TrainSettings
+
+# The gradient of the phase is 1 / amplitude and diverges at 0. Below this amplitude, the dead zone of the
+# paper's released code, it is that of this amplitude.
+LEAST_AMPLITUDE = 0.05
 
 
 @dataclass(frozen=True)
@@ -24,15 +28,29 @@ class Readout:
     mask_threshold : a pixel shows the object if its amplitude is at least this. The ground truth has the
         amplitudes 0 and 1; 0.5 is halfway.
     dead_zone : components of smaller magnitude become 0 before mask and depth are computed. 0.05 in the
-        paper: this moves phases within 0.05 rad of an axis onto that axis, up to 6 cm at 20 MHz. 0 switches
-        it off.
+        released code: this moves phases within 0.05 rad of an axis onto that axis, up to 6 cm at 20 MHz. 0
+        switches it off.
+    mask_from : ``amplitude``: a pixel shows the object if its amplitude is at least `mask_threshold`.
+        ``depth``: if its radial depth is above `mask_depth_m`, as in the paper. An output of 0 has phase 0
+        and depth 0, so it is background; so is a pixel whose Re alone is above 0, at any amplitude.
+    mask_depth_m : threshold of the depth, metres.
 
-    Source: Bengio et al., "Estimating or propagating gradients through stochastic neurons", 2013.
+    Source: thresholds on the depth from Caligiuri et al. 2024, sec. 4.2; straight-through gradients from
+    Bengio et al., "Estimating or propagating gradients through stochastic neurons", 2013.
     """
 
     frequency_hz: float
     mask_threshold: float = TrainSettings.mask_threshold
     dead_zone: float = TrainSettings.dead_zone
+    mask_from: MaskSource = TrainSettings.mask_from
+    mask_depth_m: float = TrainSettings.mask_depth_m
+
+    @property
+    def rule(self) -> str:
+        """What says whether a pixel shows the object, in words."""
+        if self.mask_from == "depth":
+            return f"depth above {self.mask_depth_m:g} m"
+        return f"mask threshold {self.mask_threshold:g}"
 
     @property
     def metres_per_radian(self) -> float:
@@ -45,33 +63,81 @@ class Readout:
         return _straight_through(zeroed, output)
 
     def mask(self, output: Tensor) -> Tensor:
-        """(N, H, W) float mask, 0 or 1. Its gradient is that of the output's amplitude, clipped to [0, 1].
+        """(N, H, W) float mask, 0 or 1, with a straight-through gradient.
+
+        *From the amplitude.* The gradient is that of `presence`, the amplitude clipped to [0, 1]. Clipping is
+        necessary: beyond amplitude 1 the mask does not change, but the gradient of an unclipped amplitude is
+        about ten times that of the mean absolute error on every object pixel and drives amplitudes to 1e17.
+
+        *From the depth.* The gradient is that of the depth in metres, in the pixels whose mask would change
+        if the gradient were followed far enough: those that show the object and should not, and the reverse.
+        Without this condition, the depth of every pixel that is right would grow until its phase wraps.
+        """
+        if self.mask_from == "depth":
+            return self._mask_of_depth(self._depth_everywhere_m(output))
+        hard = (self.components(output).norm(dim=1) >= self.mask_threshold).to(output.dtype)  # (N, H, W)
+        return _straight_through(hard, self.presence(output))
+
+    def presence(self, output: Tensor) -> Tensor:
+        """(N, H, W) amplitude of the output, clipped to [0, 1]: 1 on the true object, 0 elsewhere.
 
         The gradient of the amplitude is the direction of the output. At amplitude 0 the direction is
         undefined (any one is a subgradient); the diagonal is used, so that an output of 0 everywhere can
-        still grow. Clipping is necessary: beyond amplitude 1 the mask does not change, but the gradient of
-        an unclipped amplitude is about ten times that of the mean absolute error on every object pixel and
-        drives amplitudes to 1e17.
+        still grow.
         """
-        hard = (self.components(output).norm(dim=1) >= self.mask_threshold).to(output.dtype)  # (N, H, W)
-        size = output.detach().norm(dim=1, keepdim=True)  # (N, 1, H, W)
         diagonal = torch.full_like(output, 0.5**0.5)
-        direction = torch.where(size > 0, output.detach() / size.clamp_min(1e-30), diagonal)
-        return _straight_through(hard, (direction * output).sum(dim=1).clamp(0, 1))
+        return (_direction(output, diagonal) * output).sum(dim=1).clamp(0, 1)
 
     def radial_depth_m(self, output: Tensor) -> Tensor:
         """(N, H, W) radial depth, metres: c φ / (4π f) with φ in [0, 2π) on the mask, 0 elsewhere.
 
-        The phase receives gradients on the mask only, the mask everywhere.
+        With a mask from the amplitude, the phase receives gradients on the mask only, the mask everywhere.
+        With a mask from the depth, the gradient is that of the depth before the threshold, everywhere.
         """
+        if self.mask_from == "depth":
+            depth_m = self._depth_everywhere_m(output)
+            return _straight_through(self._mask_of_depth(depth_m) * depth_m, depth_m)
         mask = self.mask(output)  # (N, H, W)
         z = self.components(output)
         # Outside the mask the phase is not differentiated: near amplitude 0 its gradient diverges.
         z = torch.where((mask.detach() > 0)[:, None], z, z.detach())
+        return mask * self._depth_of_components_m(z)
+
+    def _mask_of_depth(self, depth_m: Tensor) -> Tensor:
+        """(N, H, W) float mask of the depth before the threshold."""
+        hard = (depth_m > self.mask_depth_m).to(depth_m.dtype)
+        surrogate = depth_m.clone()
+        if surrogate.requires_grad:
+            # Descent raises the depth where the gradient is negative, which only a missed pixel needs.
+            surrogate.register_hook(lambda gradient: gradient * ((gradient < 0) == (hard == 0)))
+        return _straight_through(hard, surrogate)
+
+    def _depth_everywhere_m(self, output: Tensor) -> Tensor:
+        """(N, H, W) depth of every pixel, metres, 0 where both components are in the dead zone.
+
+        The gradient is that of the raw output's phase, bounded by `LEAST_AMPLITUDE`. An output of 0 is taken
+        to be on the positive real axis, where the depth is 0.
+        """
+        value = self._depth_of_components_m(self.components(output.detach()))
+        positive_real = torch.zeros_like(output)
+        positive_real[:, 0] = 1
+        along = _direction(output, positive_real)  # (N, 2, H, W)
+        across = torch.stack([-along[:, 1], along[:, 0]], dim=1)  # the direction of a growing phase
+        amplitude = output.detach().norm(dim=1).clamp_min(LEAST_AMPLITUDE)  # (N, H, W)
+        return _straight_through(value, self.metres_per_radian * (across * output).sum(dim=1) / amplitude)
+
+    def _depth_of_components_m(self, z: Tensor) -> Tensor:
+        """(N, H, W) radial depth, metres, of (N, 2, H, W) components."""
         wrapped = torch.atan2(z[:, 1], z[:, 0])
         turn_m = float(unambiguous_range_m(self.frequency_hz))  # depth for a phase of 2π
         depth_m = wrapped * self.metres_per_radian  # (N, H, W), in (-range / 2, range / 2]
-        return mask * torch.where(depth_m < 0, depth_m + turn_m, depth_m)
+        return torch.where(depth_m < 0, depth_m + turn_m, depth_m)
+
+
+def _direction(output: Tensor, at_zero: Tensor) -> Tensor:
+    """(N, 2, H, W) output divided by its amplitude, without a gradient; `at_zero` where that is 0."""
+    size = output.detach().norm(dim=1, keepdim=True)  # (N, 1, H, W)
+    return torch.where(size > 0, output.detach() / size.clamp_min(1e-30), at_zero)
 
 
 def _straight_through(forward: Tensor, backward: Tensor) -> Tensor:

@@ -14,9 +14,9 @@ HEAD_CHANNELS = (16, 8, 4, OUTPUT_CHANNELS)
 
 
 class UNet(nn.Module):
-    """U-Net of the paper: any number of input channels, any image size.
+    """U-Net of the paper, with the sizes of the released code: any number of input channels, any image size.
 
-    *Layers.* Encoder: levels of width w, 2w, 4w, 8w and 16w (w = 32 in the paper), each with two 3x3
+    *Layers.* Encoder: levels of width w, 2w, 4w, 8w and 16w (w = 32 in the released code), each with two 3x3
     convolutions and ReLU, and a 2x2 max pooling between levels. Decoder: on each level a 2x2 transposed
     convolution, concatenation with the encoder's output of that level (skip connection), two 3x3 convolutions
     with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions to 8, 4 and 2 channels, with
@@ -44,7 +44,8 @@ class UNet(nn.Module):
     ------
     ValueError : `input_channels` or `width` is below 1.
 
-    Source: Caligiuri et al. 2024, sec. 4.2; He et al., "Delving deep into rectifiers", ICCV 2015.
+    Source: Caligiuri et al. 2024, sec. 4.2 (a network similar to a U-Net, then convolutions); their released
+    code (sizes); He et al., "Delving deep into rectifiers", ICCV 2015.
     """
 
     def __init__(

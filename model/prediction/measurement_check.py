@@ -122,7 +122,7 @@ def _unit(predictor: Predictor, measured: Measurement, index: int) -> list[Findi
     if "paper" not in inputs.channels:
         return []
     with np.errstate(over="ignore"):  # `Predictor.predict` refuses what is too large
-        times = float(amplitude(measured.phasors[index, ..., 0]).mean()) / inputs.amplitude_scale
+        times = float(amplitude(measured.phasors[index, ..., 0]).mean()) / inputs.mean_amplitude
     if 1 / OTHER_UNIT < times < OTHER_UNIT:
         return []
     words = f"the mean amplitude is {times:.2g} times that of the training scenes: use --rescale?"

@@ -128,7 +128,7 @@ class Predictor:
             raise InputError(
                 f"image {dark} of {len(images)} holds no light at the first frequency: it cannot be rescaled"
             )
-        gain: NDArray[np.float64] = self.config.inputs.amplitude_scale / mean
+        gain: NDArray[np.float64] = self.config.inputs.mean_amplitude / mean
         return gain[:, None, None, None]
 
     @plain_memory_errors()

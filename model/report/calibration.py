@@ -46,34 +46,48 @@ class ThresholdCurve:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Sweeps of the judged split and of the validation split.
+    """Sweeps of the amplitude's threshold on the judged split and on the validation split.
 
     Attributes
     ----------
-    run_threshold : mask threshold in the settings of the run.
-    judged_threshold : mask threshold of the evaluation; the run's own unless the user gave another.
+    run_readout : readout in the settings of the run.
+    judged_readout : readout of the evaluation; the run's own unless the user gave another.
     judged : sweep of the judged split.
     validation : sweep of the validation split; None if the dataset has none.
     """
 
-    run_threshold: float
-    judged_threshold: float
+    run_readout: Readout
+    judged_readout: Readout
     judged: ThresholdCurve
     validation: ThresholdCurve | None
 
     @property
+    def run_threshold(self) -> float:
+        """Threshold of the amplitude in the settings of the run."""
+        return self.run_readout.mask_threshold
+
+    @property
+    def judged_threshold(self) -> float | None:
+        """Threshold of the amplitude in the evaluation; None if its masks are those of the depth."""
+        return None if self.judged_readout.mask_from == "depth" else self.judged_readout.mask_threshold
+
+    @property
+    def is_of_run(self) -> bool:
+        """Whether the evaluation takes the masks of the run."""
+        return self.judged_readout == self.run_readout
+
+    @property
     def judged_with(self) -> str:
-        """The threshold of the evaluation as text."""
-        of_run = (
-            "the run's own"
-            if self.judged_threshold == self.run_threshold
-            else f"the run's own is {self.run_threshold:g}"
-        )
-        return f"judged with mask threshold {self.judged_threshold:g} ({of_run})"
+        """What the masks of the evaluation are taken from, as text."""
+        own = self.run_readout.rule
+        if self.judged_readout.mask_from == self.run_readout.mask_from:
+            own = own.removeprefix("mask threshold ")
+        of_run = "the run's own" if self.is_of_run else f"the run's own is {own}"
+        return f"judged with {self.judged_readout.rule} ({of_run})"
 
 
 class ThresholdSweep:
-    """Metrics of the images of a split at every threshold.
+    """Metrics of the images of a split at every threshold of the amplitude.
 
     A pixel belongs to the mask of every threshold up to its amplitude. Pixels and errors are therefore
     counted once, by the number of thresholds that a pixel reaches; cumulative sums of these histograms give
@@ -93,7 +107,9 @@ class ThresholdSweep:
     ) -> None:
         """Add images (N, H, W): predicted phasors, true radial depth in metres, true mask."""
         output = output_of(phasor)  # (N, 2, H, W)
-        everywhere, _, _ = read_output(output, replace(self._readout, mask_threshold=0.0))
+        everywhere, _, _ = read_output(
+            output, replace(self._readout, mask_from="amplitude", mask_threshold=0.0)
+        )
         amplitudes = self._readout.components(output).norm(dim=1).cpu().numpy()  # (N, H, W)
         for depth_m, amplitude, truth_m, truth in zip(
             everywhere, amplitudes, radial_depth_gt_m, mask_gt > 0, strict=True

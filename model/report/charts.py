@@ -148,9 +148,11 @@ def _histogram(name: str, label: str, ours: Sequence[float], nothing: Sequence[f
 
 
 def _sweep(name: str, label: str, calibration: Calibration, field: str, scale: float) -> Chart:
-    """One line for each split; the threshold in use is dotted, a ring marks the best of validation."""
+    """One line for each split; a threshold in use is dotted, a ring marks the best of validation."""
     judged, validation = calibration.judged, calibration.validation
-    parts: list[Curve | Upright] = [Upright("in use", "text", calibration.judged_threshold, "dot")]
+    parts: list[Curve | Upright] = []
+    if calibration.judged_threshold is not None:
+        parts.append(Upright("in use", "text", calibration.judged_threshold, "dot"))
     splits: list[tuple[Colour, ThresholdCurve]] = [("prediction", judged)]
     if validation is not None and validation is not judged:
         splits.append(("truth", validation))

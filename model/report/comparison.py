@@ -1,4 +1,4 @@
-"""Picture of a scene: ground truth above prediction, like the figures of the paper."""
+"""Picture of a scene: Re, Im and depth, as in Fig. 5 of the paper; ground truth above prediction."""
 
 from __future__ import annotations
 

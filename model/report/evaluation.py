@@ -19,7 +19,7 @@ from model.report.refusals import (
 )
 from model.report.report_files import write_files
 from model.report.results import Report
-from model.settings import DeviceName
+from model.settings import DeviceName, MaskSource
 from scenegen import Dataset, PathLike, Split, whole_folder
 
 
@@ -32,6 +32,7 @@ def evaluate(
     device: DeviceName = "auto",
     progress: bool = True,
     mask_threshold: float | None = None,
+    mask_from: MaskSource | None = None,
 ) -> Report:
     """Judge the best weights of `run` on a split and write the report folder `out`.
 
@@ -52,11 +53,12 @@ def evaluate(
     ----------
     run : run folder of the trained network.
     mask_threshold : a pixel shows the object if its amplitude is at least this; None for the run's own.
+    mask_from : whether masks are taken from amplitude or depth; None for the run's own.
 
     Raises
     ------
     EvaluationError : the split has no scenes, the run was trained for other images, the threshold is not
-        positive, or `out` contains anything but an earlier report.
+        positive or of no use, or `out` contains anything but an earlier report.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     DatasetError : the description of a scene is missing or damaged.
     """
@@ -65,11 +67,19 @@ def evaluate(
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):
         raise EvaluationError(f"a mask threshold is an amplitude above 0, got {mask_threshold:g}")
     predictor = load(run, device)
+    if mask_threshold is not None and (mask_from or predictor.config.readout.mask_from) == "depth":
+        raise EvaluationError(
+            "the masks are those of the depth, for which a threshold of the amplitude means nothing: leave "
+            "--mask-threshold out, or add --mask-from amplitude"
+        )
     refuse_missing_split(dataset, split)
     shards = open_shards(dataset, progress=progress)
     refuse_other_images(predictor.config, shards, run, dataset)
-    own = predictor.config.readout
-    readout = own if mask_threshold is None else replace(own, mask_threshold=mask_threshold)
+    readout = predictor.config.readout
+    if mask_from is not None:
+        readout = replace(readout, mask_from=mask_from)
+    if mask_threshold is not None:
+        readout = replace(readout, mask_threshold=mask_threshold)
     bench = Bench(predictor, readout, dataset, shards, progress)
     with whole_folder(out) as folder:
         clouds = folder / "pointclouds"

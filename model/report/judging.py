@@ -111,8 +111,7 @@ def _calibration(bench: Bench, judged: ThresholdCurve) -> Calibration:
         for block, predictions in bench.predictions("validation"):
             sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
         validation = sweep.curve()
-    run_threshold = bench.predictor.config.readout.mask_threshold
-    return Calibration(run_threshold, bench.readout.mask_threshold, judged, validation)
+    return Calibration(bench.predictor.config.readout, bench.readout, judged, validation)
 
 
 def shown_scenes(bench: Bench, report: Report) -> list[ShownScene]:

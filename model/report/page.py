@@ -150,10 +150,15 @@ def _groups(report: Report) -> list[dict[str, Any]]:
 
 
 def _threshold(calibration: Calibration) -> dict[str, Any]:
-    """Scores at the run's own threshold, and at the one that is best on validation, where there is one."""
+    """Scores at the run's own threshold, and at the one that is best on validation, where there is one.
+
+    ``own`` is None if the masks of the run are those of the depth.
+    """
     best = calibration.validation.best if calibration.validation else None
     return {
-        "own": calibration.judged.at(calibration.run_threshold),
+        "own": calibration.judged.at(calibration.run_threshold)
+        if calibration.run_readout.mask_from == "amplitude"
+        else None,
         "best": best,
         "judged_at_best": calibration.judged.at(best.threshold) if best else None,
     }
@@ -168,6 +173,7 @@ def _configuration(config: RunConfig, origin: Mapping[str, Any], report: Report)
         **origin,
         "trained_on_these_data": config.data_sha256 == origin["data_sha256"],
         "split": report.split,
+        "mask_from": report.calibration.judged_readout.mask_from,
         "mask_threshold": report.calibration.judged_threshold,
     }
     versions = {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}

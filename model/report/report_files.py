@@ -69,6 +69,8 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         "split": report.split,
         "scene_count": len(report.scenes),
         "depth": "radial (along the ray), metres; background counts with depth 0",
+        "mask_from": report.calibration.judged_readout.mask_from,
+        "run_mask_from": report.calibration.run_readout.mask_from,
         "mask_threshold": report.calibration.judged_threshold,
         "run_mask_threshold": report.calibration.run_threshold,
         "prediction": asdict(report.prediction),

@@ -68,7 +68,7 @@ class Report:
         lines = [f"{head:<44}{'average':>9}{'std':>9}{'min':>9}{'max':>9}"]
         for measure, who, statistics in self.lines():
             lines.append(f"{f'{measure.name:<26}{who}':<44}" + "".join(f"{v:>9}" for v in statistics))
-        if self.calibration.judged_threshold != self.calibration.run_threshold:
+        if not self.calibration.is_of_run:
             lines.append(self.calibration.judged_with)
         return "\n".join(lines)
 

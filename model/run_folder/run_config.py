@@ -55,6 +55,12 @@ class RunConfig:
     data_sha256 : hash of the scenes, splits and renders of the dataset.
     night_version : version of the program that trained the network.
     run_id : `run_id_of` the run when it began, which weights and checkpoint repeat; None in schema 2.
+    background_per_object : background pixels per object pixel of the training scenes, a constant of the loss;
+        None if `settings.balance` does not need it.
+
+    Raises
+    ------
+    ValueError : `background_per_object` is missing although the balance needs it.
     """
 
     settings: TrainSettings
@@ -68,12 +74,21 @@ class RunConfig:
     night_version: str
     run_id: Sha256 | None = None
     schema_version: Literal[2, 3] = RUN_SCHEMA
+    background_per_object: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
+
+    def __post_init__(self) -> None:
+        if self.settings.balance == "dataset" and self.background_per_object is None:
+            raise ValueError("the balance dataset needs background_per_object")
 
     @property
     def readout(self) -> Readout:
         """Reads mask and depth from the output of this run's network."""
         settings = self.settings
-        return Readout(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone)
+        return Readout(
+            *(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone),
+            mask_from=settings.mask_from,
+            mask_depth_m=settings.mask_depth_m,
+        )
 
     def network(self, generator: torch.Generator | None = None) -> UNet:
         """A network of this run's architecture with initial weights."""

@@ -12,6 +12,7 @@ from typing import Literal
 import torch
 
 from model.data.channel_scaling import fit_input_spec
+from model.data.class_balance import BalanceError, background_per_object
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
@@ -144,15 +145,20 @@ def _train(
 def _configure(
     dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None
 ) -> RunConfig:
-    """Contents of ``run.json``; a resumed run keeps its id and the constants of its channels, to the bit."""
-    manifest = shards.manifest
+    """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
+    manifest, rows = shards.manifest, shards.rows("train")
     try:
         inputs = (
             before.inputs
             if before
-            else fit_input_spec(settings.channels, shards, shards.rows("train"), settings.frequencies_hz)
+            else fit_input_spec(
+                *(settings.channels, shards, rows, settings.frequencies_hz, settings.amplitude_divisor)
+            )
         )
-    except ChannelError as error:
+        ratio = before.background_per_object if before else None
+        if settings.balance == "dataset" and ratio is None:
+            ratio = background_per_object(shards, rows)
+    except (BalanceError, ChannelError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
     config = RunConfig(
         settings=settings,
@@ -164,6 +170,7 @@ def _configure(
         preset_sha256=manifest.preset_sha256,
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
+        background_per_object=ratio if settings.balance == "dataset" else None,
     )
     return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))
 

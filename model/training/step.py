@@ -43,7 +43,10 @@ class TrainingStep:
         self.network = network.to(memory_format=self._order)  # type: ignore[call-overload]
         parallel = processes.parallel(self.network)
         self._trained = torch.compile(parallel) if settings.compile else parallel
-        self.loss = NightLoss(config.readout, settings.loss, settings.loss_on, settings.alpha)
+        self.loss = NightLoss(
+            *(config.readout, settings.loss, settings.loss_on, settings.alpha, settings.balance),
+            background_per_object=config.background_per_object,
+        )
         self.optimisation = Optimisation(self.network, settings, steps_per_epoch, device)
 
     def loss_of(self, rows: RowBlock, draws: Draws) -> Tensor:

@@ -196,7 +196,7 @@ _CITATION = """The scenes follow
 
 
 def _differences(preset: Preset) -> Iterator[tuple[str, str]]:
-    """Keys and values of a preset that differ from the defaults, which are those of the paper."""
+    """Keys and values of a preset that differ from the defaults, which are those of ``paper``."""
     ours, papers = _flat(asdict(preset)), _flat(asdict(Preset()))
     yield from ((key, json.dumps(value)) for key, value in ours.items() if value != papers[key])
 
