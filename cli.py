@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from commandline.confirmation import YES, confirm_deletion
+from commandline.dataset_export import export_dataset
 from commandline.endings import DefaultGroup, NightCommand, NightGroup
 from commandline.options import (
     DEVICE,
@@ -224,6 +225,9 @@ def convert(dataset: Path, form: str, out: Path, frequencies: Any, only: tuple[s
                 convert_to_itof(opened, scene_id, out, frequencies)
             bar.update()
     click.echo(f"{len(ids)} scenes converted in {out}")
+
+
+night_render.add_command(export_dataset)
 
 
 @night_render.command(short_help="Delete transients, keep phasors.")

@@ -2,6 +2,7 @@ from .backend import select_variant
 from .farm.run import RunOptions, render_dataset
 from .farm.status import read_status
 from .products.conversion import convert_to_itof, open_transient
+from .products.dataset_export import export_dataset
 from .products.movie import write_movie
 from .products.preview import write_preview
 from .products.tal_export import export_tal
@@ -14,6 +15,7 @@ __all__ = [
     "Renderer",
     "RunOptions",
     "convert_to_itof",
+    "export_dataset",
     "export_tal",
     "open_transient",
     "read_status",

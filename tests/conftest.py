@@ -73,6 +73,15 @@ def seven_renders(render_here, seven_scenes, tmp_path_factory):
     return data
 
 
+@pytest.fixture(scope="session")
+def exported(seven_renders, tmp_path_factory):
+    """These scenes as one HDF5 file of ``night-render export``; for reading only."""
+    out = tmp_path_factory.mktemp("export") / "new" / "seven.h5"
+    done = night_here("night-render", "export", seven_renders, "--out", out)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
 @pytest.fixture
 def unrendered(seven_scenes, tmp_path):
     """Copy of the seven scenes, to be rendered."""

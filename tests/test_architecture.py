@@ -81,7 +81,10 @@ HOME = {
     "mathutils": BLENDER_FILES,
     "OpenEXR": "itof/exr_library.py",
     "Imath": "itof/exr_library.py",
-    "h5py": ("render/products/tal_export.py", "model/prediction/hdf5_reading.py"),
+    "h5py": (
+        *("render/products/patient_file.py", "render/products/tal_export.py"),
+        *("render/products/export_rows.py", "model/prediction/hdf5_reading.py"),
+    ),
     "imageio_ffmpeg": "render/products/movie_encoding.py",
     "dask": "render/farm/",
     "dask_jobqueue": "render/farm/",

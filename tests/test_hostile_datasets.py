@@ -22,6 +22,7 @@ COMMANDS = {
     "movie": ("night-render", "movie", "{data}", "000001", "--out", "{out}/movie.gif"),
     "itof": ("night-render", "convert", "{data}", "--to", "itof", "--out", "{out}/itof"),
     "tal": ("night-render", "convert", "{data}", "--to", "tal", "--out", "{out}/tal"),
+    "export": ("night-render", "export", "{data}", "--out", "{out}/all.h5"),
     "drop": ("night-render", "drop-transients", "{data}", "--yes"),
     "train": ("night-train", "{data}", "--out", "{out}/run", *TRAINING, *DEVICE),
     "eval": ("night-eval", "{run}", "{data}", "--out", "{out}/report", *DEVICE),

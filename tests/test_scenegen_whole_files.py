@@ -89,6 +89,11 @@ def test_a_file_is_not_replaced_by_a_folder(tmp_path):
     assert (tmp_path / "notes").read_text() == "years of work"
 
 
+def test_a_folder_in_which_nothing_can_be_made_is_given_up():
+    with pytest.raises(OSError, match="/proc"), whole_file(Path("/proc/night.txt")):
+        pass
+
+
 def test_what_a_kill_between_two_renames_left_is_safe_from_a_failing_command(tmp_path):
     # The fault that was reported: the old one in a temporary folder, then a command that fails.
     left = tmp_path / f".x.{HOST}-999999999.7.partial"

@@ -82,10 +82,19 @@ def wrong_phasors(image: Image, frequencies_hz: tuple[float, ...]) -> Iterator[s
     total, found_hz = image.phasors()
     if found_hz != frequencies_hz:
         yield f"{MEASUREMENT_FILE} has phasors at {found_hz} Hz instead of {frequencies_hz}"
-    elif _has(image, "hidden"):
+    elif has_part(image, "hidden"):
         parts = image.phasors("direct")[0] + image.phasors("hidden")[0]
         if np.abs(total - parts).max() > _FLOAT_ROUNDING * np.abs(total).max():
             yield f"{MEASUREMENT_FILE}: direct and hidden part do not add up to the total"
+
+
+def has_part(image: Image, prefix: str) -> bool:
+    """Whether an image has phasors with this prefix, such as ``hidden``."""
+    try:
+        image.phasors(prefix)
+    except ImageFileError:
+        return False
+    return True
 
 
 def wrong_truth(dataset: Dataset, scene_id: str, image: Image) -> Iterator[str]:
@@ -135,7 +144,7 @@ def wrong_transient(file: Path, image: Image, shape: tuple[int, int]) -> Iterato
     elif file.name == TRANSIENT_FILE:
         energy, difference = _norm(binned[..., 0]), _norm(binned[..., 1:] - exact)
         allowed = _FLOAT_ROUNDING * _norm(exact)  # (F,) without parts, `exact` is the sum over these bins
-        if _has(image, "hidden"):
+        if has_part(image, "hidden"):
             parts = splat_residue(frequencies_hz, axis.bin_width_m, splat) + _rounding(frequencies_hz, axis)
             share = max(QUADRATURE_SHARE, _reported_error(image) / 2)
             allowed = share * _norm(image.phasors("hidden")[0]) + parts * energy
@@ -166,14 +175,6 @@ def _reported_error(image: Image) -> float:
         return float(image.attributes.get("hidden_error", "0"))
     except ValueError:
         return 0.0
-
-
-def _has(image: Image, prefix: str) -> bool:
-    try:
-        image.phasors(prefix)
-    except ImageFileError:
-        return False
-    return True
 
 
 def _sample_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -9,8 +9,13 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import h5py
 
 
 class PatientFile(io.RawIOBase):
@@ -100,3 +105,13 @@ class PatientFile(io.RawIOBase):
         except OSError as error:  # some file systems say only now that the disk is full
             self.error = self.error or error
         super().close()
+
+
+@contextmanager
+def hdf5_file(path: Path) -> Iterator[tuple[h5py.File, PatientFile]]:
+    """A new HDF5 file and the stream that it is written to; `OSError` at the end if a write failed."""
+    import h5py
+
+    with PatientFile(path) as stream, h5py.File(stream, "w") as file:
+        yield file, stream
+    stream.raise_error()

@@ -6,9 +6,7 @@ Source: ``NLOSCaptureData`` in y-tal 0.20 (https://github.com/diegoroyo/tal), fi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 
 from itof import TransientLayout, TransientReader, pixel_rays
 from render.products.conversion import ExportError, exported_file, open_transient
-from render.products.patient_file import PatientFile
+from render.products.patient_file import hdf5_file
 from scenegen import TRANSIENT_FILE, Dataset, PathLike, Scene, camera_axes, rotation_matrix, wall_normal
 
 if TYPE_CHECKING:
@@ -68,7 +66,7 @@ def export_tal(dataset: Dataset, scene_id: str, out: PathLike) -> None:
     scene = dataset.scene(scene_id)
     with open_transient(dataset, scene_id) as reader:
         fields = _geometry(scene, reader.layout)
-        with exported_file(out) as partial, _hdf5_file(partial) as (file, stream):
+        with exported_file(out) as partial, hdf5_file(partial) as (file, stream):
             for name, value in fields.items():
                 file[name] = value
             for name, members, chosen in (
@@ -85,16 +83,6 @@ def export_tal(dataset: Dataset, scene_id: str, out: PathLike) -> None:
             file["scene_info"] = _scene_info(dataset, scene, reader)
             for _ in _written_bins(file, reader):
                 stream.raise_error()  # on a full disk, before the next block
-
-
-@contextmanager
-def _hdf5_file(path: Path) -> Iterator[tuple[h5py.File, PatientFile]]:
-    """A new HDF5 file and the stream that it is written to; `OSError` at the end if a write failed."""
-    import h5py
-
-    with PatientFile(path) as stream, h5py.File(stream, "w") as file:
-        yield file, stream
-    stream.raise_error()
 
 
 def _written_bins(file: h5py.File, reader: TransientReader) -> Iterator[int]:

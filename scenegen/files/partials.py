@@ -31,6 +31,7 @@ _PARTIAL = re.compile(
     r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<pid>\d+)(\.(?P<number>\d+)|(?P<old>\.old))?\.partial", re.DOTALL
 )
 _WEEK_S = 7 * 86400.0
+_MOST_ATTEMPTS = 1000  # at a new folder: /proc says that a folder which it has is not there
 _numbers = itertools.count(1)  # threads may write the same path
 
 
@@ -75,13 +76,15 @@ def remove_leftovers(folder: PathLike, name: str | None = None) -> None:
 
 def _locked_folder(path: Path) -> tuple[Path, int]:
     """A new temporary folder for `path`, and the descriptor that holds its lock."""
+    attempt = 0
     while True:
+        attempt += 1
         folder = path.with_name(f".{path.name}.{HOST}-{os.getpid()}.{next(_numbers)}.partial")
         try:
             folder.mkdir()
             lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except (FileExistsError, FileNotFoundError):
-            if path.parent.is_dir():
+            if path.parent.is_dir() and attempt < _MOST_ATTEMPTS:
                 continue  # left by a process with our id; or just removed, before we could lock it
             raise
         except OSError as error:

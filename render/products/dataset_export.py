@@ -1,0 +1,160 @@
+"""Export of a rendered dataset as one HDF5 file, which any HDF5 library reads (docs/files.md)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from render.byte_size import size
+from render.products.card import read_card
+from render.products.conversion import ExportError, exported_file
+from render.products.export_format import FORMAT, FORMAT_VERSION
+from render.products.export_rows import new_rows
+from render.products.export_scenes import RefusedSceneError, SceneSource
+from scenegen import Dataset, PathLike, sha256_of
+
+_ENDINGS = (".h5", ".hdf5")
+_LISTED = 10  # scenes that are named one by one on the terminal; the file names all
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was exported.
+
+    Attributes
+    ----------
+    file : the new file.
+    bytes, sha256 : its size and its hash, to publish beside it.
+    scenes : number of scenes of each split.
+    left_out : sentence about each scene that is not in the file, by id.
+    arrays : shape of each array that has a row for each scene, by name.
+    """
+
+    file: Path
+    bytes: int
+    sha256: str
+    scenes: dict[str, int]
+    left_out: dict[str, str]
+    arrays: dict[str, tuple[int, ...]]
+
+    def as_data(self) -> dict[str, Any]:
+        """The result as plain data (docs/files.md, results as JSON)."""
+        return {**asdict(self), "file": str(self.file)}
+
+    def sentences(self) -> list[str]:
+        """The result as lines of text."""
+        lines = [f"left out: {sentence}" for sentence in list(self.left_out.values())[:_LISTED]]
+        if len(self.left_out) > _LISTED:
+            lines.append(f"left out: {len(self.left_out) - _LISTED} more scenes, which the file names")
+        parts = ", ".join(f"{count} {split}" for split, count in self.scenes.items())
+        lines.append(f"{sum(self.scenes.values())} scenes in {self.file}: {parts}; {size(self.bytes)}")
+        return [*lines, f"SHA-256: {self.sha256}"]
+
+
+def export_dataset(
+    dataset: Dataset,
+    out: PathLike,
+    *,
+    partial: bool = False,
+    on_scene: Callable[[], object] = lambda: None,
+) -> Export:
+    """Write phasors, ground truth, parameters, splits and provenance of all scenes into one new HDF5 file.
+
+    docs/files.md describes the file. Every rendered file is compared with its record before it is read. One
+    scene is in memory at a time. The same dataset gives the same bytes with the same versions of NIGHT, h5py
+    and HDF5.
+
+    Parameters
+    ----------
+    out : the new file, which ends in ``.h5`` or ``.hdf5``.
+    partial : leave out scenes that cannot be exported, and name them in the file.
+    on_scene : called after each scene whose images were read.
+
+    Raises
+    ------
+    ExportError : without `partial`, a scene is not rendered, given up, bad, damaged, or rendered with other
+        settings than the dataset. No scene can be exported. The file exists, has another ending, or cannot
+        be written.
+    """
+    file = Path(out)
+    _check_name(file)
+    source = SceneSource(dataset)
+    left_out, wanted = _checked(dataset, source, partial)
+    with exported_file(file) as unfinished, new_rows(unfinished, len(wanted)) as rows:
+        for scene_id in wanted:
+            try:
+                rows.add(dataset.entry(scene_id), source.read(scene_id))
+            except RefusedSceneError as refusal:
+                if not partial:
+                    raise _with_advice(refusal) from None
+                left_out[scene_id] = refusal
+            on_scene()
+        left_out = dict(sorted(left_out.items()))
+        if not rows.entries:
+            raise ExportError(f"no scene of {dataset.root} can be exported: {next(iter(left_out.values()))}")
+        licence = read_card(dataset).licence
+        documents = {
+            "preset": asdict(dataset.preset),
+            "provenance": _provenance(dataset, licence),
+            "left_out": {scene_id: refusal.reason for scene_id, refusal in left_out.items()},
+        }
+        rows.finish(dataset.preset.itof.frequencies_hz, documents, licence)
+    return Export(
+        file=file,
+        bytes=file.stat().st_size,
+        sha256=sha256_of(file),
+        scenes=rows.split_counts,
+        left_out={scene_id: str(refusal) for scene_id, refusal in left_out.items()},
+        arrays=rows.shapes,
+    )
+
+
+def _check_name(file: Path) -> None:
+    if file.suffix not in _ENDINGS:
+        what = "Zarr is not supported" if file.suffix == ".zarr" else f"the ending {file.suffix!r} is unknown"
+        raise ExportError(f"{file}: {what}: give a name that ends in .h5")
+    if os.path.lexists(file):
+        raise ExportError(f"{file} exists already: give another name, or delete it")
+
+
+def _checked(
+    dataset: Dataset, source: SceneSource, partial: bool
+) -> tuple[dict[str, RefusedSceneError], list[str]]:
+    """Scenes whose records say that they cannot be exported, and the others."""
+    refused: dict[str, RefusedSceneError] = {}
+    for scene_id in dataset.ids():
+        try:
+            source.check(scene_id)
+        except RefusedSceneError as refusal:
+            refused[scene_id] = refusal
+    if refused and not partial:
+        raise _with_advice(next(iter(refused.values())), len(refused) - 1)
+    return refused, [scene_id for scene_id in dataset.ids() if scene_id not in refused]
+
+
+def _with_advice(refusal: RefusedSceneError, others: int = 0) -> ExportError:
+    more = f" ({others} more scenes cannot be exported)" if others else ""
+    return ExportError(f"{refusal}{more}, or leave out such scenes with --partial")
+
+
+def _provenance(dataset: Dataset, licence: str | None) -> Mapping[str, Any]:
+    """Programs, versions, seed, settings of the renders and licence; no path, time or name of a machine."""
+    index, rendering = dataset.index, dataset.rendering
+    return {
+        "format": {"name": FORMAT, "version": FORMAT_VERSION, "night-nlos": version("night-nlos")},
+        "scenes": {
+            "generator": index.generator,
+            "generator_version": index.generator_version,
+            "blender_version": index.blender_version,
+            "seed": index.seed,
+            "packages": index.packages,
+            "meshes": index.meshes,
+        },
+        "rendering": None if rendering is None else asdict(rendering),
+        "frequencies_hz": list(dataset.preset.itof.frequencies_hz),
+        "licence": licence,
+    }
