@@ -76,15 +76,25 @@ def after_deaths(seven_renders, tmp_path_factory):
     shutil.copytree(seven_renders, data, ignore=shutil.ignore_patterns("*.log"))
     for scene_id in ("000004", "000005", "000006"):
         shutil.rmtree(data / "renders" / scene_id)
-    process = start_render(data, "--workers", "2")
     first, second = (claim_of(data, scene_id) for scene_id in ("000004", "000005"))
-    wait_for(lambda: begun(first) and begun(second))
-    assert len(workers_of(process)) == 2
-    for worker in workers_of(process):
-        worker.send_signal(signal.SIGKILL)
-    wait_for(lambda: begun(first, attempt=2))
-    worker_at(process, first).send_signal(signal.SIGKILL)
-    output, errors = process.communicate()
+    to_be_killed = [(first, 1), (first, 2), (second, 1)]  # in whatever order these attempts begin
+    process = start_render(data, "--workers", "2")
+
+    def all_are_killed():
+        for claim, attempt in to_be_killed:
+            if begun(claim, attempt):
+                worker_at(process, claim).send_signal(signal.SIGKILL)
+                to_be_killed.remove((claim, attempt))
+                break
+        return not to_be_killed
+
+    try:
+        wait_for(all_are_killed)
+    except BaseException:
+        process.kill()
+        raise
+    finally:
+        output, errors = process.communicate()
     return data, process.returncode, output, errors
 
 
