@@ -10,6 +10,7 @@ import sys
 
 import h5py
 import numpy as np
+import pytest
 from night_commands import night_here
 from source_tree import ROOT
 from synthetic_dataset import write_synthetic_dataset, write_synthetic_render
@@ -127,6 +128,7 @@ def test_the_same_dataset_gives_the_same_bytes_whatever_was_in_memory_before(
         assert sha256_of(out) == sha256_of(exported)
 
 
+@pytest.mark.long
 def test_one_scene_is_in_memory_at_a_time(tmp_path):
     dataset = write_synthetic_dataset(tmp_path / "data", count=33)
     first, *others = dataset.ids()
@@ -216,6 +218,7 @@ def test_the_sentences_count_the_scenes_of_each_split(closed_form_scenes, tmp_pa
     assert lines[1:] == [f"SHA-256: {sha256_of(out)}"]
 
 
+@pytest.mark.long
 def test_the_network_predicts_from_the_file_as_from_the_renders(finished_run, tmp_path):
     dataset = write_synthetic_dataset(tmp_path / "data", count=2)
     export_dataset(dataset, tmp_path / "x.h5")
@@ -230,12 +233,14 @@ def test_the_network_predicts_from_the_file_as_from_the_renders(finished_run, tm
         np.testing.assert_allclose(found.phasor, expected.phasor, atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_data_set_of_the_page_gives_batches_to_pytorch(exported, tmp_path):
     page = (ROOT / "docs" / "datasets.md").read_text()
     block = re.search(r"^```python\n(import h5py\n.*?)^```", page, re.M | re.S)[1]
     shutil.copy(exported, tmp_path / "paper.h5")
     check = """
 import numpy as np
+import pytest
 batches = list(loader)
 assert sum(len(batch["mask"]) for batch in batches) == len(loader.dataset) == 4
 assert batches[0]["phasors"].dtype == torch.complex64

@@ -35,6 +35,7 @@ def first_shown_bin(transient_bins):
     return np.flatnonzero(peak > peak.max() * 1e-6)[0] - 1  # a film begins with one dark bin
 
 
+@pytest.mark.long
 def test_a_film_shows_the_wavefront_cross_the_wall_in_the_order_of_its_path_lengths(
     transient_dataset, transient_bins, tmp_path
 ):

@@ -65,6 +65,7 @@ def check_wanted(scene, exact, rms_of_256, variant):
     assert len(exposure.field.lights) <= 2 * 2 * (2.4 / 0.85) ** 2 * needed
 
 
+@pytest.mark.long
 def test_the_reported_error_of_a_patch_is_above_its_true_error_by_a_factor_of_about_two(
     patch, patch_rms, variant
 ):

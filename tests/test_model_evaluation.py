@@ -51,6 +51,7 @@ def test_evaluation_over_many_pieces_is_that_over_one(judged, finished_run, tmp_
     assert many == judged[0]
 
 
+@pytest.mark.long
 def test_point_clouds_of_the_truth_lie_at_its_depth_on_the_pixels_rays(judged, closed_form_scenes):
     shards = open_shards(closed_form_scenes)
     row = shards.rows("validation")[0]

@@ -34,6 +34,7 @@ def best_constant_loss(dataset, loss) -> float:
     return min(float(loss(output, *truth)) for output in outputs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "change",
     [

@@ -253,6 +253,7 @@ def test_the_gradient_of_a_mask_of_the_depth_is_that_of_the_depth_where_the_mask
         torch.testing.assert_close(leaf.grad[0], sign * expected)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["mae+iou", "mae+lovasz"])
 @pytest.mark.parametrize("variant", ["components", "depth"])
 def test_descent_with_a_mask_of_the_depth_finds_the_object_and_stays_at_its_depth(variant, name):

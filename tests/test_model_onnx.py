@@ -49,6 +49,7 @@ def test_the_onnx_file_computes_what_torch_computes(seeing_run, closed_form_scen
     assert largest_output > 1e-3  # with outputs of 0 alone, nothing would be compared
 
 
+@pytest.mark.long
 def test_an_export_that_computes_something_else_is_refused(seeing_run, tmp_path, monkeypatch):
     def another_network(network, config):
         with torch.no_grad():

@@ -119,6 +119,7 @@ def test_run_files_of_before_these_settings_predict_as_before(closed_form_scenes
     train(closed_form_scenes, run, settings(max_epochs=2), resume=True)
 
 
+@pytest.mark.long
 def test_a_run_can_be_judged_by_masks_of_the_depth_and_of_the_amplitude(
     paper_run, closed_form_scenes, tmp_path
 ):

@@ -60,6 +60,7 @@ def test_where_no_pixel_shows_an_object_there_is_no_point_cloud(finished_copy, e
     assert not list((tmp_path / "out").glob("*.ply"))
 
 
+@pytest.mark.long
 def test_npz_hdf5_and_exr_agree(seeing_run, exr, tmp_path):
     phasors, frequencies_hz = read_image(exr).phasors()
     predict(seeing_run, exr, tmp_path / "exr")
@@ -100,6 +101,7 @@ def test_a_file_may_hold_more_frequencies_in_any_order(seeing_run, phasors, tmp_
         assert_same(tmp_path / "a", tmp_path / "b", name)
 
 
+@pytest.mark.long
 def test_a_capture_of_the_empty_corner_replaces_the_computed_reference(seeing_run, phasors, tmp_path):
     # The direct return itself in the unit of another camera, and in the order of the file.
     order, empty = [1, 2, 0], 5e4 * load(seeing_run, "cpu").reference
@@ -193,6 +195,7 @@ def test_an_interrupted_prediction_leaves_the_earlier_one_as_it_was(
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["out", "two.npz"]
 
 
+@pytest.mark.long
 def test_the_command_predicts_and_says_what_it_saw(seeing_run, exr, phasors, tmp_path):
     out = ("--out", tmp_path / "out", "--device", "cpu")
     done = night_here("night-eval", "predict", seeing_run, exr, *out)

@@ -214,6 +214,7 @@ def hostile(run, dataset, tmp_path_factory):
     return evil, out
 
 
+@pytest.mark.long
 def test_hostile_names_are_text_and_nothing_else(hostile, judged):
     evil, out = hostile
     text = (out / "index.html").read_text()

@@ -26,6 +26,7 @@ def moved(scene, **changes):
     )
 
 
+@pytest.mark.long
 def test_the_view_shows_the_object_where_it_is(maker, cube):
     rows, columns = orange(maker.picture(cube, *SIZE)).T
     assert len(rows) > 30

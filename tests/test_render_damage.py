@@ -3,12 +3,14 @@
 import re
 import shutil
 
+import pytest
 from night_commands import night_here, refusal
 from render_runs import results
 
 from itof import read_image, write_image
 
 
+@pytest.mark.long
 def test_truncated_flipped_foreign_and_missing_files_are_found_and_repaired(
     rendered_copy, seven_renders, render_here
 ):

@@ -8,6 +8,7 @@ from night_commands import night_here
 from render_runs import results
 
 
+@pytest.mark.long
 def test_a_scene_that_cannot_be_rendered_leaves_the_others_alone(three_missing, seven_renders, render_here):
     mesh = three_missing / "scenes" / "000004" / "hidden_object_0.ply"
     whole = mesh.read_bytes()

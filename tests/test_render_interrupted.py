@@ -48,6 +48,7 @@ def test_a_killed_command_leaves_what_an_undisturbed_one_does(three_missing, sev
     assert not list(three_missing.glob("renders/[0-9]*/.*"))
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_the_command_and_its_workers_with_one_word(three_missing, seven_renders, render_here):
     process = start_render(three_missing, start_new_session=True)
     wait_for(lambda: begun(claim_of(three_missing, "000004")))
@@ -95,6 +96,7 @@ def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(t
     assert not three_missing.exists()
 
 
+@pytest.mark.long
 def test_a_full_disk_stops_the_run_and_what_is_done_stays(
     three_missing, seven_renders, render_here, tmp_path
 ):

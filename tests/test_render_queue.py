@@ -35,6 +35,7 @@ def test_two_commands_at_once_share_the_work(both, seven_renders):
     assert {name: files[name] for name in whole} == {name: expected[name] for name in whole}
 
 
+@pytest.mark.long
 def test_two_commands_agree_that_a_scene_cannot_be_rendered(both):
     data, ended = both
     assert [code for code, _, _ in ended] == [1, 1], ended
