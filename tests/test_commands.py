@@ -64,6 +64,7 @@ def test_a_log_of_a_long_job_holds_lines_of_progress(pipeline):
     assert "\r" not in pipeline.render.stderr
 
 
+@pytest.mark.long
 def test_a_second_render_keeps_what_is_there_and_mends_what_is_not(pipeline_copy, render_here):
     (pipeline_copy / "data" / "renders" / "000003" / "itof.exr").unlink()
     done = render_here(pipeline_copy / "data", "--lights", 128, "--device", "cpu")
@@ -174,6 +175,7 @@ def test_a_machine_that_cannot_load_blender_says_what_it_lacks(tmp_path):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 def test_a_missing_llvm_is_refused_before_anything_is_rendered(pipeline_copy):
     shutil.rmtree(pipeline_copy / "data" / "renders")
     llvm = {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"}
@@ -186,6 +188,7 @@ def test_a_missing_llvm_is_refused_before_anything_is_rendered(pipeline_copy):
         assert not (pipeline_copy / "data" / "renders").exists()
 
 
+@pytest.mark.long
 def test_an_old_llvm_is_refused_before_it_can_abort(pipeline):
     old = sorted(Path("/usr/lib").glob("*/libLLVM-1[0-8].so*"))
     if not old:

@@ -6,6 +6,7 @@ from night_commands import night_here, refusal
 from itof import read_image
 
 
+@pytest.mark.long
 def test_transients_are_exported_and_filmed_from_the_command_line(seven_renders, tmp_path):
     out = tmp_path / "out"
     only = ("--only", "000002", "--out", out)

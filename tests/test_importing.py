@@ -39,6 +39,7 @@ def of(package, modules):
     return {module for module in modules if f"{module}.".startswith(f"{package}.")}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("room", ROOMS)
 def test_importing_does_nothing_but_import(room, tmp_path):
     code = f"import {room}\nfor name in getattr({room}, '__all__', ()): getattr({room}, name)"

@@ -38,6 +38,7 @@ def record_of(out):
     return json.loads((out / "prediction.json").read_text())
 
 
+@pytest.mark.long
 def test_a_measurement_of_something_else_is_refused_unless_forced(seeing_run, phasors, wall, tmp_path):
     npz = write_npz(tmp_path / "m.npz", phasors=phasors[0].conj())
     command = ("night-eval", "predict", seeing_run, npz, "--out", tmp_path / "out", "--device", "cpu")
@@ -57,6 +58,7 @@ def test_a_measurement_of_something_else_is_refused_unless_forced(seeing_run, ph
     assert record["images"][0]["wall"] is None
 
 
+@pytest.mark.long
 def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, wall, tmp_path):
     out = ("--out", tmp_path / "out", "--device", "cpu")
     little = write_npz(tmp_path / "a.npz", phasors=farther(phasors[0], wall, 0.003))

@@ -249,6 +249,7 @@ def clouds(page):
     return [how for name, how in page.drawn.items() if name.isdigit()]
 
 
+@pytest.mark.long
 @needs_chromium
 def test_a_browser_draws_charts_and_point_clouds_without_an_error(hostile, tmp_path):
     document, console = browse(hostile[1] / "index.html", tmp_path, WITH_WEBGL)

@@ -87,6 +87,7 @@ def test_what_cannot_be_previewed_is_refused(corners, tmp_path):
 # Meshes of the user's own
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_pictures")
 def test_a_users_mesh_is_drawn_from_the_scenes_own_files(tmp_path):
     source = trimesh.creation.annulus(r_min=0.2, r_max=0.6, height=1.0, sections=24)

@@ -76,6 +76,7 @@ def test_foreign_modules_of_other_names_do_no_harm(tmp_path):
 # Streams
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_changes_neither_exit_code_nor_the_other_streams(seven_renders, closed):
     done = shell(f'exec "$@" {closed}', *words("night-render", "status", seven_renders))
@@ -92,6 +93,7 @@ def test_nothing_is_printed_into_a_file_that_is_opened_in_place_of_a_closed_stre
     assert (tmp_path / "new").read_bytes() == b""
 
 
+@pytest.mark.long
 def test_a_result_that_cannot_be_printed_is_an_error(seven_renders):
     done = shell(f'exec "$@" >{FULL}', *words("night-render", "status", seven_renders))
     assert done.returncode == 2
@@ -101,6 +103,7 @@ def test_a_result_that_cannot_be_printed_is_an_error(seven_renders):
     assert shell(f'exec "$@" >{FULL} 2>{FULL}', *words("night-gen", "--help")).returncode == 2
 
 
+@pytest.mark.long
 def test_messages_that_cannot_be_printed_change_no_exit_code():
     assert shell(f'exec "$@" 2>{FULL}', *words("night-render", "nowhere")).returncode == 2
 

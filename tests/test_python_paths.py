@@ -97,6 +97,7 @@ def test_presets_are_found_by_objects(tmp_path):
     assert model.training_preset(tmp_path / "net.toml") == ({"width": 3}, str(tmp_path / "net.toml"))
 
 
+@pytest.mark.long
 def test_images_and_exports_are_read_and_written_at_text(transient_dataset, tmp_path):
     folder = str(transient_dataset.render_folder("000000"))
     made = render.convert_to_itof(transient_dataset, "000000", str(tmp_path / "new"))
@@ -109,6 +110,7 @@ def test_images_and_exports_are_read_and_written_at_text(transient_dataset, tmp_
     assert {file.name for file in tmp_path.iterdir()} == {"new", "capture.hdf5", "light.gif", "truth.exr"}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_thread")
 def test_runs_are_used_at_text(finished_run, exr, tmp_path):
     assert (

@@ -71,6 +71,7 @@ def test_a_scene_that_is_bad_twice_with_the_same_bytes_is_a_defect_and_stays(ren
     assert "nothing to render" in night_here("night-render", rendered_copy, *SETTINGS, "--dry-run").stdout
 
 
+@pytest.mark.long
 def test_a_render_with_other_bytes_makes_a_bad_one_forgotten(
     rendered_copy, wrong, seven_renders, render_here
 ):
@@ -82,6 +83,7 @@ def test_a_render_with_other_bytes_makes_a_bad_one_forgotten(
     assert verify(rendered_copy)[0] == 0
 
 
+@pytest.mark.long
 def test_a_render_with_the_same_bytes_is_remembered_until_it_is_found_good(rendered_copy, render_here):
     # As after a wrong check, which a new version of the program has repaired.
     folder = rendered_copy / "renders" / SCENE

@@ -43,6 +43,7 @@ def test_truncated_flipped_foreign_and_missing_files_are_found_and_repaired(
     assert "7 scenes checked: 7 good, 0 bad" in clean.stdout
 
 
+@pytest.mark.long
 def test_damage_is_repaired_without_verification_too(rendered_copy, seven_renders, render_here):
     file = rendered_copy / "renders" / "000005" / "itof.exr"
     content = bytearray(file.read_bytes())
@@ -54,6 +55,7 @@ def test_damage_is_repaired_without_verification_too(rendered_copy, seven_render
     assert results(rendered_copy) == results(seven_renders)
 
 
+@pytest.mark.long
 def test_training_refuses_renders_that_verification_found_bad(rendered_copy, render_here):
     folders = [rendered_copy / "renders" / name for name in ("000000", "000001")]
     shutil.copy(folders[1] / "itof.exr", folders[0] / "itof.exr")

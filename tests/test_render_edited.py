@@ -86,6 +86,7 @@ def test_an_edited_scene_is_refused_before_any_scene_is_rendered(unrendered, edi
         Renderer(open_dataset(unrendered), RenderSettings(device="cpu")).render("000002")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("vouched", [False, True])
 def test_a_hostile_scene_file_is_never_opened(unrendered, seven_renders, render_here, vouched):
     write_hostile_xml(unrendered)
