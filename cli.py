@@ -15,29 +15,30 @@ import click
 
 from commandline.confirmation import YES, confirm_deletion
 from commandline.dataset_export import export_dataset
-from commandline.endings import DefaultGroup, NightCommand, NightGroup
+from commandline.endings import DefaultGroup, NightGroup
+from commandline.evaluation import judge
 from commandline.options import (
     DEVICE,
     FOLDER,
     FORCE,
-    MASK_FROM,
-    MASK_THRESHOLD,
     ONLY,
     PRESET,
     RENDER_RUN,
     RENDER_SETTINGS,
     RESCALE,
-    TRAINING,
     Megahertz,
     chosen_scenes,
     overridden_preset,
 )
 from commandline.rendering import chosen_run, render_settings
 from commandline.results import JSON, tell
+from commandline.scene_pictures import PICTURE_COMMANDS
 from commandline.streams import say
-from commandline.training import chosen_settings
+from commandline.training import night_train
 from scenegen import leaks, open_dataset
 from scenegen.progress import showing_progress
+
+__all__ = ["night_eval", "night_gen", "night_render", "night_train"]
 
 
 @click.group(cls=NightGroup)
@@ -188,19 +189,8 @@ def verify(dataset: Path, workers: int, only: tuple[str, ...], as_json: bool) ->
         raise click.exceptions.Exit(1)
 
 
-@night_render.command(short_help="A video of light in motion.")
-@click.argument("dataset", type=FOLDER)
-@click.argument("scene", metavar="ID")
-@click.option("--out", type=FOLDER, metavar="FILE", help="An .mp4 or .gif file.  [default: ID.mp4]")
-def movie(dataset: Path, scene: str, out: Path | None) -> None:
-    """Make the light-in-motion video of the transient of the scene ID of DATASET."""
-    from render import open_transient, write_movie
-
-    opened = open_dataset(dataset)
-    file = out or Path(f"{opened.entry(scene).id}.mp4")
-    with open_transient(opened, scene) as transient:
-        write_movie(transient, file)
-    click.echo(f"the light of scene {scene} in motion: {file}")
+for each in PICTURE_COMMANDS:
+    night_render.add_command(each)
 
 
 @night_render.command(short_help="Transients in another form.")
@@ -248,32 +238,6 @@ def drop_transients(dataset: Path, only: tuple[str, ...], yes: bool) -> None:
     click.echo(f"{len(ids)} scenes have no transients now: {size(freed)} freed")
 
 
-@click.command(cls=NightCommand)
-@click.argument("dataset", type=FOLDER)
-@click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
-@click.option(
-    "--preset", help="Settings: a name in data/training, or a .toml file.  [default for a new run: default]"
-)
-@click.option("--resume", is_flag=True, help="Go on with the run in --out, by its own settings.")
-@TRAINING
-@JSON
-def night_train(dataset: Path, out: Path, resume: bool, as_json: bool, **options: Any) -> None:
-    """Train a network on the renders of DATASET; options override the preset.
-
-    Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
-
-    \b
-    torchrun --nproc-per-node 4 $(which night-train) DATASET --out RUN
-    """  # noqa: D301
-    import model
-    from model.training.processes import is_first_process
-
-    opened = open_dataset(dataset)
-    result = model.train(opened, out, chosen_settings(out, resume, **options), resume=resume)
-    if is_first_process():
-        tell([result.sentence(out)], {"run": str(out), **asdict(result)}, as_json)
-
-
 @click.group(cls=DefaultGroup, default="judge")
 def night_eval() -> None:
     """Judge the network of RUN against the ground truth of DATASET, or use it.
@@ -285,29 +249,7 @@ def night_eval() -> None:
     """  # noqa: D301
 
 
-@night_eval.command(short_help="Compare with the ground truth; the word may be left out.")
-@click.argument("run", type=FOLDER)
-@click.argument("dataset", type=FOLDER)
-@click.option("--out", required=True, type=FOLDER, help="Report folder to write.")
-@click.option(
-    "--split",
-    type=click.Choice(["train", "validation", "test"]),
-    default="test",
-    show_default=True,
-    help="Scenes to judge by.",
-)
-@MASK_FROM
-@MASK_THRESHOLD
-@DEVICE
-@JSON
-def judge(run: Path, dataset: Path, out: Path, as_json: bool, **options: Any) -> None:
-    """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
-    import model
-
-    metrics = out.resolve() / "metrics.json"  # the folder "." is another one afterwards
-    report = model.evaluate(run, open_dataset(dataset), out, **options)
-    look = f"look at {out / 'index.html'}; figures and point clouds are beside it"
-    tell([report.table, look], metrics, as_json)
+night_eval.add_command(judge)
 
 
 @night_eval.command(short_help="Depth maps of your own measurements.")
@@ -342,7 +284,8 @@ def predict(run: Path, measurement: Path, out: Path, as_json: bool, **options: A
 def export(run: Path, out: Path, as_json: bool) -> None:
     """Write the network of RUN as an ONNX file, checked against PyTorch.
 
-    Input `channels` (N, C, H, W), output `components` (N, 2, H, W); the run's settings are in the metadata.
+    Input `channels` (N, C, H, W), output `components` (N, 2, H, W), or `radial_depth_m` (N, 1, H, W) of a
+    network that predicts depth; the run's settings are in the metadata.
     """
     import model
 

@@ -2,9 +2,10 @@
 
 Each row has a preset in data/training. Its own keys, without the preset that it extends, are applied to
 --preset. Interrupted runs continue and finished runs are only evaluated, so the table can be made in steps.
-Run:
+Run, for all rows or for those of the paper's Table 2:
 
-    .venv/bin/python benchmarks/ablations.py mydata --out ablations --width 16 --max-epochs 30 --seeds 2
+    .venv/bin/python benchmarks/ablations.py mydata --out ablations --width 16 --max-epochs 30
+    .venv/bin/python benchmarks/ablations.py mydata --out table2 --rows paper --preset paper --seeds 3
 """
 
 import argparse
@@ -12,7 +13,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import mean
+from statistics import mean, stdev
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ class Row:
     paper: str = ""
 
 
-ROWS = (
+PAPER_ROWS = (
     Row(None, "base", "5.21 / 0.77"),
     Row("ablation-20mhz", "20 MHz alone", "6.15 / 0.74"),
     Row("ablation-50mhz", "50 MHz alone", "10.33 / 0.68"),
@@ -46,9 +47,13 @@ ROWS = (
     Row("ablation-mse", "loss: MSE", "13.72 / 0.66"),
     Row("ablation-mse-iou", "loss: MSE and IoU", "5.93 / 0.77"),
     Row("ablation-mae-iou", "loss: MAE and IoU", "5.21 / 0.77"),
+)
+ROWS = (
+    *PAPER_ROWS,
     Row("ablation-mae-lovasz", "loss: MAE and Lovász"),
     Row("ablation-components", "error of the components"),
     Row("ablation-depth", "error of the depth"),
+    Row("ablation-direct-depth", "depth predicted directly"),
     Row("ablation-paper-channels", "channels: the paper's seven", "5.21 / 0.77"),
     Row("ablation-residual", "channels: residual alone"),
     Row("ablation-paper-residual", "channels: both"),
@@ -65,17 +70,22 @@ def main() -> None:
     )
     parser.add_argument("--width", type=int, help="channels of the first level, default from --preset")
     parser.add_argument("--max-epochs", type=int, help="default from --preset")
+    parser.add_argument("--learning-rate", type=float, help="default from --preset")
+    parser.add_argument("--schedule", help="of the learning rate, default from --preset")
     parser.add_argument("--seeds", type=int, default=1, help="runs per row, default 1")
+    parser.add_argument("--rows", choices=["all", "paper"], default="all", help="paper: those of its Table 2")
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     dataset = open_dataset(given.dataset)
     shards = open_shards(dataset)
     changes = {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
+    changes |= {"learning_rate": given.learning_rate, "schedule": given.schedule}
+    rows = PAPER_ROWS if given.rows == "paper" else ROWS
     base = training_preset(given.preset)[0] | {key: value for key, value in changes.items() if value}
     done: dict[TrainSettings, Path] = {}
-    results: dict[Row, list[Summary]] = {row: [] for row in ROWS}
+    results: dict[Row, list[Summary]] = {row: [] for row in rows}
     for seed in range(given.seeds):
-        for row in ROWS:
+        for row in rows:
             settings = settings_from_dict(base | own_keys(row) | {"seed": seed}, str(row.preset))
             out = given.out / f"{row.preset or 'base'}-{seed}"
             if settings not in done:  # several rows have the settings of the base
@@ -125,14 +135,14 @@ def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
 
 
 def line(row: Row, summaries: list[Summary]) -> str:
-    """A row of the table: the mean over seeds and, if there are several, each of them in brackets."""
+    """A row of the table: the mean over seeds and, if there are several, their standard deviation."""
     cells = [row.words]
     for values, digits in (
         ([100 * s.depth_mae_m.mean for s in summaries], 2),
         ([s.miou.mean for s in summaries], 3),
     ):
-        every = ", ".join(f"{value:.{digits}f}" for value in values)
-        cells.append(f"{mean(values):.{digits}f}" + (f" ({every})" if len(values) > 1 else ""))
+        spread = f" ± {stdev(values):.{digits}f}" if len(values) > 1 else ""
+        cells.append(f"{mean(values):.{digits}f}{spread}")
     return "| " + " | ".join([*cells, row.paper]) + " |"
 
 

@@ -33,7 +33,7 @@ SIZES = tuple((4 * n, 3 * n) for n in (10, 20, 40, 80, 160, 320))
 ERRORS = (0.02, 0.01, 0.005, 0.002, 0.001)
 LIGHTS = (256, 1024, 4096, 16384)
 TRIANGLES = (1, 3, 5, 7, 8)  # subdivisions of an icosahedron: 80, 1280, 20 and 328 thousand, 1.3 million
-BINS = (500, 2000, 8000)
+BINS = (500, 2000, 6000)  # at 320 x 240; more are not written
 
 
 def main() -> None:

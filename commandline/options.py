@@ -68,6 +68,19 @@ class Size(click.ParamType):
         return int(match[1]), int(match[2])
 
 
+class Pixel(click.ParamType):
+    """``12,7``: column and row of a pixel, from 0 at the upper left."""
+
+    name = "X,Y"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Column and row; whether the image has this pixel is for the render to say."""
+        match = re.fullmatch(r"([0-9]{1,9}),([0-9]{1,9})", value)
+        if match is None:
+            self.fail(f"{value!r} is no pixel; write it like 12,7", param, ctx)
+        return int(match[1]), int(match[2])
+
+
 def options(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
     """Several options as one decorator, in their order."""
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)

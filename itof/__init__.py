@@ -12,7 +12,8 @@ from itof.depth_map import DEPTH_CHANNEL, MASK_CHANNEL, DepthMap
 from itof.direct import direct_phasors
 from itof.exr import Image, phasor_channels, pixel_types, read_image, write_image
 from itof.exr_header import ImageFileError
-from itof.exr_transient import TransientLayout, TransientReader, TransientWriter
+from itof.exr_library import compress_with_threads
+from itof.exr_transient import MOST_WRITTEN_BYTES, TransientLayout, TransientReader, TransientWriter
 from itof.light import (
     SPEED_OF_LIGHT,
     amplitude,
@@ -24,14 +25,16 @@ from itof.light import (
 )
 from itof.measurement import MeasurementMatrix, join_components, phasors, split_components
 from itof.pinhole import pixel_rays, points_from_radial, radial_from_z, z_from_radial
-from itof.splat import Splat, highest_frequency_hz, splat_residue, splat_transfer
+from itof.splat import WIDEST_REACH_BINS, Splat, highest_frequency_hz, splat_residue, splat_transfer
 from itof.unwrapping import combined_range_m, unwrap_depth
 from itof.weighted_reference import SubpixelWeights, weighted_reference
 
 __all__ = [
     "DEPTH_CHANNEL",
     "MASK_CHANNEL",
+    "MOST_WRITTEN_BYTES",
     "SPEED_OF_LIGHT",
+    "WIDEST_REACH_BINS",
     "DepthMap",
     "Image",
     "ImageFileError",
@@ -43,6 +46,7 @@ __all__ = [
     "TransientWriter",
     "amplitude",
     "combined_range_m",
+    "compress_with_threads",
     "depth_from_phase",
     "direct_phasors",
     "highest_frequency_hz",

@@ -31,6 +31,14 @@ _ERRORS_OF_WRITING = (
 _MOST_UNWRITTEN = 2**16  # bytes that OpenEXR writes only when it closes a file, and more
 
 
+def compress_with_threads(count: int) -> None:
+    """Compress EXR files with `count` threads from now on; the files do not depend on it.
+
+    OpenEXR starts with none of its own and compresses in the thread that writes.
+    """
+    OpenEXR.set_global_thread_count(count if count > 1 else 0)
+
+
 class ExrOutput:
     """A new EXR file with FLOAT channels, lossless compression (ZIPS) and text attributes.
 

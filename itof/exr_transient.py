@@ -25,6 +25,9 @@ from itof.splat import SPLATS, Splat
 
 TRANSIENT_CHANNEL = "transient.Y"
 _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every transient has
+# In the Python module of OpenEXR, the place of a row in the image, in bytes, is an int. Beyond it, writing
+# crashes the process (OpenEXR 3.5.3); reading does not.
+MOST_WRITTEN_BYTES = 2**31 - 1
 _MOST_BINS = 10_000_000  # as in presets; phasors need numbers for every bin
 _READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (docs/design.md, Transient files)
 
@@ -53,6 +56,11 @@ class TransientLayout:
             raise ValueError(f"the time axis of a transient begins at a finite length, got {self}")
 
     @property
+    def raw_bytes(self) -> int:
+        """Size of all values as float32, before compression."""
+        return 4 * self.width * self.height * self.bin_count
+
+    @property
     def rows_per_block(self) -> int:
         """Number of image rows in a block of at most 64 MiB; at least 1."""
         return max(1, _READ_BYTES // (4 * self.width * self.bin_count))
@@ -70,12 +78,18 @@ class TransientWriter:
     Raises
     ------
     OSError : the file cannot be written.
-    ValueError : a block of the wrong shape, or too many or too few rows.
+    ValueError : the transient has more than `MOST_WRITTEN_BYTES`, a block has the wrong shape, or there are
+        too many or too few rows.
     """
 
     def __init__(
         self, path: str | os.PathLike[str], layout: TransientLayout, attributes: Mapping[str, str]
     ) -> None:
+        if layout.raw_bytes > MOST_WRITTEN_BYTES:
+            raise ValueError(
+                f"a transient of {layout.raw_bytes} bytes is too large: OpenEXR writes at most "
+                f"{MOST_WRITTEN_BYTES}; use fewer bins or pixels"
+            )
         self.layout = layout
         self._row = 0
         axis = {name: repr(getattr(layout, name)) for name in _AXIS}

@@ -22,6 +22,8 @@ from itof.light import SPEED_OF_LIGHT, phase_per_metre
 Splat = Literal["point", "tent", "quadratic"]
 SPLATS: tuple[Splat, ...] = ("point", "tent", "quadratic")
 _ORDER = {"point": 0, "tent": 2, "quadratic": 3}  # p; 0: Φ divides by nothing
+# A return is spread over bins whose centres are at most so far from it, whatever the splat.
+WIDEST_REACH_BINS = max(_ORDER.values()) / 2
 _BISECTIONS = 60  # halve the interval to less than a rounding error
 
 

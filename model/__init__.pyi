@@ -6,7 +6,7 @@ from .prediction.onnx_export import export_onnx
 from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
 from .report.evaluation import evaluate
-from .run_folder.run_config import run_settings
+from .run_folder.run_config import fine_tuning_settings, run_settings
 from .settings import TrainSettings, settings_from_dict, training_preset
 from .training.loop import train
 
@@ -19,6 +19,7 @@ __all__ = [
     "check_file",
     "evaluate",
     "export_onnx",
+    "fine_tuning_settings",
     "load",
     "predict_file",
     "run_settings",

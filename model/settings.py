@@ -19,9 +19,12 @@ AmplitudeDivisor = Literal["mean", "maximum"]
 LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz"]
 LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou", "mae+lovasz")
 Balance = Literal["image", "dataset", "class-means"]
+Target = Literal["components", "depth"]
+GroundTruth = Literal["geometry", "simulated"]
 LossTarget = Literal["components", "depth"]
 LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
 MaskSource = Literal["amplitude", "depth"]
+Freeze = Literal["none", "encoder", "all-but-head"]
 DeviceName = Literal["auto", "cpu", "cuda"]
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
 Precision = Literal["auto", "float32", "bfloat16", "float16"]
@@ -29,6 +32,9 @@ PRECISIONS: tuple[Precision, ...] = ("auto", "float32", "bfloat16", "float16")
 Schedule = Literal["constant", "cosine"]
 SCHEDULES: tuple[Schedule, ...] = ("constant", "cosine")
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
+# A run that starts from the weights of another one has its network and input, and by default its readout.
+NETWORK_SETTINGS = ("channels", "amplitude_divisor", "frequencies_hz", "width", "target")
+READOUT_SETTINGS = ("mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
 
 
@@ -48,6 +54,12 @@ class TrainSettings:
     """The amplitude channel is divided by this amplitude of the training scenes; the paper: to [0, 1]."""
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
     """Channels of the U-Net's first level."""
+    target: Target = "components"
+    """What the network predicts: Re and Im of the mirrored scene, or its depth in metres directly. With
+    depth, error and mask are those of the depth, whatever loss_on and mask_from say."""
+    ground_truth: GroundTruth = "geometry"
+    """Truth from the shape of the mirrored object, or from the simulator's transient of the mirrored scene,
+    as in the paper; simulated needs transients."""
     loss: LossName = "mae+iou"
     """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou or lovasz)."""
     loss_on: LossTarget = "components"
@@ -81,6 +93,10 @@ class TrainSettings:
     """Training ends after so many epochs at the latest."""
     patience: WholeCount = 150
     """Training ends after so many epochs without a better validation loss."""
+    min_delta: NotNegative = 0.0
+    """For patience, a validation loss is better only if it is lower by more than this."""
+    freeze: Freeze = "none"
+    """Layers that keep the weights of the run that this one starts from (--from)."""
     flip_rows: bool = True
     """Flip half of the images top to bottom: an exact symmetry of the scene."""
     flip_columns: bool = False
@@ -115,6 +131,8 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
+        if self.target == "depth" and self.loss.endswith("+lovasz"):
+            raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
 
 
 def training_fields() -> dict[str, FieldInfo]:

@@ -1,8 +1,9 @@
 """Rendering: transients, phasors and ground truth of the scenes of a dataset, with Mitsuba 3.
 
-Here: settings, options of the methods, the device, and `rendering` (one scene to its files). Wings:
-`transport` (the physics), `farm` (many scenes), `products` (what is made of renders). May import `scenegen`
-and `itof`. The names below are loaded at their first use, so importing this package does not load Mitsuba.
+Here: settings, options of the methods, the device, `rendering` (one scene to its files) and `mirror_panels`
+(the mirror trick in pictures). Wings: `transport` (the physics), `farm` (many scenes), `products` (what is
+made of renders). May import `scenegen` and `itof`. The names below are loaded at their first use, so
+importing this package does not load Mitsuba.
 """
 
 import lazy_loader

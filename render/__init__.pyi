@@ -1,11 +1,13 @@
 from .backend import select_variant
 from .farm.run import RunOptions, render_dataset
 from .farm.status import read_status
+from .mirror_panels import write_mirror_panels
 from .products.conversion import convert_to_itof, open_transient
 from .products.dataset_export import export_dataset
 from .products.movie import write_movie
 from .products.preview import write_preview
 from .products.tal_export import export_tal
+from .products.transient_plot import write_transient_plot
 from .products.verification import verify
 from .rendering import Renderer
 from .settings import RenderSettings, settings_for
@@ -23,6 +25,8 @@ __all__ = [
     "select_variant",
     "settings_for",
     "verify",
+    "write_mirror_panels",
     "write_movie",
     "write_preview",
+    "write_transient_plot",
 ]

@@ -53,6 +53,13 @@ def select_variant(device: Device = "auto") -> str:
     return variant
 
 
+def drjit_threads() -> int:
+    """Threads that DrJit computes with on the CPU."""
+    import drjit as dr
+
+    return int(dr.thread_count())
+
+
 def gpu_ids() -> list[str]:
     """Names of the CUDA devices that this process may use, as in CUDA_VISIBLE_DEVICES; at least one."""
     chosen = os.environ.get("CUDA_VISIBLE_DEVICES")

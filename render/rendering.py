@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from itof import MeasurementMatrix, Splat, TransientWriter, phasor_channels, write_image
-from render.backend import select_variant
+from itof import (
+    MeasurementMatrix,
+    Splat,
+    TransientWriter,
+    compress_with_threads,
+    phasor_channels,
+    write_image,
+)
+from render.backend import drjit_threads, select_variant
 from render.edited_scenes import edited_attributes, is_edited, refuse_edited
 from render.settings import RenderError, RenderSettings
 from render.transport.lights.hidden_surface import HiddenSurfaceError
@@ -80,6 +87,7 @@ class Renderer:
             splat=_SPLAT,
         )
         self.variant = select_variant(settings.device)
+        compress_with_threads(drjit_threads())
         self._libraries = ThreadpoolController()  # which finds numpy's and scipy's linear algebra
         make = METHODS[settings.method]
         self._method = make(settings.options, self.variant)
@@ -167,7 +175,7 @@ class Renderer:
         if self.settings.wants_transients:
             # The two measurements of a scene need different random streams: their noise must be independent.
             seed = int(np.random.SeedSequence([scene.seed, 1]).generate_state(1)[0])
-            view = self._view(1, seed)
+            view = replace(self._view(1, seed), all_is_direct=True)
             exposure = self._mirrored_method.expose(mirrored, view)
             more = {**exposure.attributes, "seed": str(seed)}
             self._write_rows(exposure, folder / MIRRORED_TRANSIENT_FILE, attributes | more)

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from itof import TransientLayout
+from itof import MOST_WRITTEN_BYTES, TransientLayout
 from render.backend import Device
 from render.options import (
     ManyLightOptions,
@@ -83,7 +83,8 @@ class RenderSettings:
         Raises
         ------
         RenderError : the resolution does not have the camera's aspect ratio, the image has too many pixels,
-            or the time axis is so long that one image row does not fit into memory.
+            the time axis is so long that one image row does not fit into memory, or a transient is larger
+            than OpenEXR can write.
         """
         camera, axis = dataset.preset.camera, dataset.preset.transient
         width, height = self.resolution or (camera.width, camera.height)
@@ -99,6 +100,7 @@ class RenderSettings:
         layout = TransientLayout(width, height, axis.bin_count, axis.bin_width_m, axis.start_opl_m)
         if self.wants_transients:
             _check_memory(layout)
+            _check_file_size(layout)
         return layout
 
     def bounces(self, dataset: Dataset) -> int:
@@ -189,6 +191,16 @@ def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:
     if options or method != settings.method:
         others["options"] = options_of(method, options)
     return replace(settings, **others)
+
+
+def _check_file_size(layout: TransientLayout) -> None:
+    """Refuse a transient that OpenEXR cannot write."""
+    if layout.raw_bytes > MOST_WRITTEN_BYTES:
+        raise RenderError(
+            f"a transient of {layout.width}x{layout.height} pixels and {layout.bin_count} bins has "
+            f"{layout.raw_bytes / 1e9:.2f} GB, and OpenEXR writes at most {MOST_WRITTEN_BYTES / 1e9:.2f} GB: "
+            "use fewer bins, fewer pixels, or --product itof"
+        )
 
 
 def _check_memory(layout: TransientLayout) -> None:

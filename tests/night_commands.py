@@ -30,9 +30,19 @@ bin_count = 1400
 # Two epochs, and a schedule that may go on for longer.
 TRAINING = ["--width", 4, "--max-epochs", 2, "--batch-size", 4, "--learning-rate", 1e-3]
 TRAINING += ["--schedule", "constant"]
-_CHARTS = ("accuracy_histogram", "mae_histogram", "miou_histogram", "calibration_miou", "calibration_mae")
+_CHARTS = (
+    "accuracy_histogram",
+    "accuracy_paper",
+    "roundness",
+    "mae_histogram",
+    "miou_histogram",
+    "calibration_miou",
+    "calibration_mae",
+)
 _CURVES = ("training_loss", "training_mae", "training_miou")
-FIGURES = {f"{name}.png" for name in ("best", "median", "worst", *_CHARTS, *_CURVES)}  # of a report
+FIGURES = {
+    f"{name}.png" for name in ("best", "median", "worst", "scenes", "point_clouds", *_CHARTS, *_CURVES)
+}  # of a report
 
 DEFECT = 70  # exit code of an exception that no input should cause
 

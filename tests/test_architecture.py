@@ -50,6 +50,7 @@ WINGS = {
         *("render.edited_scenes", "render.farm.claims"),
     },
     "render.products": {"render.farm.claims", "render.settings", "render.options", "render.byte_size"},
+    "render.mirror_panels": {"render.transport", "render.products", "render.settings", "render.backend"},
     "model": set(),
     "model.settings": set(),
     "model.device": {"model.settings"},

@@ -8,6 +8,8 @@ import pytest
 from night_commands import refusal
 
 import cli
+import commandline.evaluation
+import commandline.training
 
 
 def fail_with(monkeypatch, error):
@@ -16,7 +18,8 @@ def fail_with(monkeypatch, error):
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(cli, "open_dataset", fail)
+    for module in (cli, commandline.evaluation, commandline.training):
+        monkeypatch.setattr(module, "open_dataset", fail)
 
 
 @pytest.mark.parametrize(

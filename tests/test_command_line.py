@@ -69,7 +69,7 @@ def test_every_training_setting_has_one_option_with_its_description_and_bounds()
     options = {option.name: option for option in options_of("night-train")}
     fields = training_fields()
     assert fields.keys() == set(TrainSettings.__dataclass_fields__)
-    assert options.keys() == fields.keys() | {"out", "preset", "resume", "as_json", "version"}
+    assert options.keys() == fields.keys() | {"out", "preset", "resume", "start_from", "as_json", "version"}
     assert len(options_of("night-train")) == len(options)
     for name, field in fields.items():
         option = options[name]

@@ -20,6 +20,8 @@ COMMANDS = {
     "status": ("night-render", "status", "{data}"),
     "verify": ("night-render", "verify", "{data}"),
     "movie": ("night-render", "movie", "{data}", "000001", "--out", "{out}/movie.gif"),
+    "plot": ("night-render", "plot", "{data}", "000001", "--out", "{out}/plot.png"),
+    "panels": ("night-render", "panels", "{data}", "000001", "--out", "{out}/panels.png", *DEVICE),
     "itof": ("night-render", "convert", "{data}", "--to", "itof", "--out", "{out}/itof"),
     "tal": ("night-render", "convert", "{data}", "--to", "tal", "--out", "{out}/tal"),
     "export": ("night-render", "export", "{data}", "--out", "{out}/all.h5"),

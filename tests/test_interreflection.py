@@ -7,6 +7,9 @@ import pytest
 from many_light_scenes import FREQUENCIES_HZ, Corner, ball, box, expose, measure, path_phasors
 
 from itof import MeasurementMatrix, TransientLayout
+from render.options import PathOptions
+from render.transport.method import View
+from render.transport.path_tracer import PathTracer
 
 LONG = TransientLayout(12, 9, 2400, 0.01, 0.0)  # long enough for five bounces
 
@@ -61,3 +64,17 @@ def test_transients_of_more_bounces_are_those_of_the_same_lights(variant, tmp_pa
     phi = MeasurementMatrix(FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, splat="quadratic")
     error = np.linalg.norm(phi.apply_streaming(exposure.row_blocks()) - exact.total, axis=(0, 1))
     assert np.all(error < 0.01 * np.linalg.norm(exact.hidden, axis=(0, 1)))
+
+
+@pytest.mark.parametrize(("mesh", "has_more"), [(niche(), True), (ball(), False)], ids=["niche", "ball"])
+def test_a_fourth_bounce_of_the_path_tracer_continues_the_paths_of_three(variant, tmp_path, mesh, has_more):
+    scene = Corner((mesh,)).load(tmp_path)
+    tracer = PathTracer(PathOptions(spp=256), variant)
+    three, four = (
+        np.concatenate(list(tracer.expose(scene, View(LONG, FREQUENCIES_HZ, bounces, 1)).row_blocks()))
+        for bounces in (3, 4)
+    )
+    # Sums of the same paths are the same numbers; a further path can only add to them. Other random numbers
+    # would change nearly every bin with direct light, half of them to less.
+    assert np.all(four >= three)
+    assert np.any(four > three) == has_more

@@ -5,6 +5,7 @@ import OpenEXR
 import pytest
 
 from itof import (
+    MOST_WRITTEN_BYTES,
     ImageFileError,
     MeasurementMatrix,
     TransientLayout,
@@ -39,6 +40,26 @@ def test_a_transient_comes_back_bit_for_bit_in_any_blocks(transient_file, cube):
         assert reader.attributes["method"] == "test"
         np.testing.assert_array_equal(np.concatenate(list(reader.row_blocks(3))), cube)
         np.testing.assert_array_equal(reader.read_rows(5, 6), cube[5:6])
+
+
+@pytest.mark.long
+def test_the_largest_transient_that_is_accepted_is_written_and_read_back(tmp_path):
+    layout = TransientLayout(width=320, height=209, bin_count=8000, bin_width_m=0.01, start_opl_m=0)
+    assert layout.raw_bytes <= MOST_WRITTEN_BYTES < layout.raw_bytes + layout.raw_bytes // layout.height
+    row = np.zeros((1, 320, 8000), np.float32)
+    with TransientWriter(tmp_path / "a.exr", layout, {}) as writer:
+        for number in range(209):
+            row[0, number, number] = number
+            writer.write_rows(row)
+    with TransientReader(tmp_path / "a.exr") as reader:
+        np.testing.assert_array_equal(reader.read_rows(208, 209), row)
+
+
+def test_a_transient_that_would_crash_openexr_is_refused(tmp_path):
+    layout = TransientLayout(width=320, height=210, bin_count=8000, bin_width_m=0.01, start_opl_m=0)
+    with pytest.raises(ValueError, match="2150400000 bytes is too large: OpenEXR writes at most 2147483647"):
+        TransientWriter(tmp_path / "a.exr", layout, {})
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_ordinary_exr_reader_sees_time_contiguous_pixels(transient_file, cube):

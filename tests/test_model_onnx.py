@@ -12,7 +12,7 @@ from training_runs import edit_weights
 
 from model.data.shards import open_shards
 from model.prediction import onnx_export
-from model.prediction.onnx_export import INPUT, METADATA, OUTPUT
+from model.prediction.onnx_export import INPUT, METADATA
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
 
@@ -40,7 +40,7 @@ def test_the_onnx_file_computes_what_torch_computes(seeing_run, closed_form_scen
     (node,) = session.get_inputs()
     assert (node.name, node.shape[1:], node.type) == (INPUT, list(channels.shape[1:]), "tensor(float)")
     for count in (1, 2, 3):
-        (components,) = session.run([OUTPUT], {INPUT: channels[:count]})
+        (components,) = session.run(["components"], {INPUT: channels[:count]})
         with torch.no_grad():
             expected = predictor.network(torch.from_numpy(channels[:count])).numpy()
         np.testing.assert_allclose(components, expected, atol=tolerance)

@@ -2,13 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from model.network.unet import UNet
 from model.settings import TrainSettings
 from model.training.loss_watch import LossError, LossWatch
-from model.training.optimisation import Optimisation, learning_rate
+from model.training.optimisation import Optimisation, epochs_without_improvement, learning_rate
 
 CPU = torch.device("cpu")
 
@@ -125,3 +126,32 @@ def test_good_losses_are_forgotten_once_they_were_looked_at():
     for _ in range(4):
         watch.add(torch.tensor(1.0), [0])
     watch.look()
+
+
+@pytest.mark.parametrize(
+    ("losses", "min_delta", "since"),
+    [
+        ([], 0.0, 0),
+        ([1.0], 0.5, 0),  # the first epoch counts
+        ([1.0, 0.9, 0.9, 0.95], 0.0, 2),  # an equal loss is no better
+        ([1.0, 0.75, 0.5, 0.25], 0.25, 1),  # 0.75 is lower by exactly 0.25, 0.5 by 0.5; then 0.25 again
+        ([1.0, 0.875, 0.75, 0.625], 0.25, 0),  # small steps count together: 0.375 in three
+        ([1.0, 0.5, 0.75, 0.375], 0.25, 2),  # lower than the last that counted, but by 0.125
+        ([1.0 - 2.0**-7 * k for k in range(100)], 0.015, 1),  # 2^-7 = 0.0078: every second epoch counts
+        (
+            [2.0**-k for k in range(20)],
+            0.015,
+            8,
+        ),  # after 2^-6 = 0.0156, 2^-11 = 0.0005 is the first below 0.0006
+    ],
+)
+def test_only_improvements_above_the_least_one_count(losses, min_delta, since):
+    assert epochs_without_improvement(losses, min_delta) == since
+
+
+def test_without_a_least_improvement_the_first_of_the_smallest_losses_is_the_last_that_counts():
+    rng = np.random.default_rng(0)
+    for length in range(1, 50):
+        losses = (rng.integers(8, size=length) / 8).tolist()
+        best = losses.index(min(losses))
+        assert epochs_without_improvement(losses, 0.0) == len(losses) - 1 - best

@@ -37,6 +37,7 @@ def test_the_preset_of_the_paper_has_the_numbers_of_text_and_released_code():
     assert (chosen.channel_noise_sigma, chosen.noise_sigma) == (1.0, 0.0)
     assert chosen.channel_noise_fraction == pytest.approx(403 / 2833, rel=1e-12)
     assert (chosen.balance, chosen.alpha) == ("dataset", 1 / 7)
+    assert (chosen.patience, chosen.min_delta) == (150, 0.015)
     assert (chosen.mask_from, chosen.dead_zone, chosen.amplitude_divisor) == ("depth", 0.05, "maximum")
 
 

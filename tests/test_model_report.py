@@ -22,6 +22,8 @@ from model.settings import TrainSettings
 from model.training.loop import train
 from scenegen import open_dataset
 
+PICTURES = {"best", "median", "worst", "scenes", "point_clouds"}  # figures that are not charts
+
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
@@ -163,7 +165,7 @@ def test_the_page_refers_to_nothing_on_the_network(judged):
 
 
 def names_of_charts(folder):
-    return {file.stem for file in (folder / "figures").iterdir()} - {"best", "median", "worst"}
+    return {file.stem for file in (folder / "figures").iterdir()} - PICTURES
 
 
 def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(judged):
@@ -171,7 +173,7 @@ def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(
     page = Page((folder / "index.html").read_text())
     charts = page.data["chart-data"]
     assert set(charts) == set(page.charts) == names_of_charts(folder)
-    assert len(charts) == 8
+    assert len(charts) == 10
     histogram = charts["miou_histogram"]
     nothing, ours = (part for part in histogram["parts"] if part["kind"] == "bars")
     assert sum(nothing["counts"]) == sum(ours["counts"]) == len(report.scenes)
@@ -223,7 +225,7 @@ def test_hostile_names_are_text_and_nothing_else(hostile, judged):
     page, harmless = Page(text), Page((judged[1] / "index.html").read_text())
     assert evil in page.text  # the class
     assert evil.replace("/", "-") in page.text  # the run's folder
-    assert sum(evil in value for name, value in page.attributes if name == "alt") == 3
+    assert sum(evil in value for name, value in page.attributes if name == "alt") == 5
     assert page.tags.count("script") == harmless.tags.count("script")
     assert {name for name, _ in page.attributes} == {name for name, _ in harmless.attributes}
     summary = (out / "summary.md").read_text()
@@ -240,7 +242,11 @@ def assert_drawn(page):
         drawn, parts = page.charts[name], chart["parts"]
         assert (drawn["xtitle"], drawn["ytitle"]) == ([chart["x_label"]], [chart["y_label"]])
         assert sorted(drawn["legendtext"]) == sorted(part["name"] for part in parts if part["name"])
-        marked = [part for part in parts if part["kind"] == "bars" or part.get("style") in {"dots", "rings"}]
+        marked = [
+            part
+            for part in parts
+            if part["kind"] == "bars" or part.get("style") in {"dots", "points", "rings"}
+        ]
         assert len(drawn["point"]) >= sum(len(part["y" if "y" in part else "counts"]) for part in marked)
         assert len(drawn["js-line"]) >= sum(part.get("style") == "line" for part in parts)
 
@@ -303,7 +309,7 @@ def test_a_network_that_sees_nothing_still_gets_a_whole_page(blind, tmp_path, mo
     text = (tmp_path / "report" / "index.html").read_text()
     assert ", 0 predicted" in text
     assert "has no history.csv" in text
-    assert len(names_of_charts(tmp_path / "report")) == 5
+    assert len(names_of_charts(tmp_path / "report")) == 7
     document, _ = browse(tmp_path / "report" / "index.html", tmp_path / "p", WITH_WEBGL)
     page = Page(document)
     assert clouds(page) == [how] * 3

@@ -38,6 +38,19 @@ def test_training_stops_when_patience_runs_out(closed_form_scenes, tmp_path):
     assert result.epochs == result.best_epoch + 2
 
 
+def test_improvements_that_do_not_count_end_the_training_but_the_best_weights_stay(
+    closed_form_scenes, tmp_path, finished_run
+):
+    best = read_history(finished_run)["validation_loss"]
+    assert best[1] < best[0]
+    short = settings(max_epochs=9, patience=1, min_delta=2 * (best[0] - best[1]))
+    result = train(closed_form_scenes, tmp_path / "run", short)
+    assert (result.ended_by, result.epochs, result.best_epoch) == ("patience", 2, 2)
+    weights = (load(run, "cpu").network.state_dict() for run in (tmp_path / "run", finished_run))
+    found, expected = weights
+    assert all(torch.equal(found[name], weight) for name, weight in expected.items())
+
+
 def test_a_run_folder_holds_what_it_promises(finished_run):
     config = json.loads((finished_run / "run.json").read_text())
     assert config["schema_version"] == 3

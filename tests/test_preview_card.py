@@ -47,6 +47,9 @@ def test_the_cards_numbers_are_the_datasets(corners):
     assert f"renders {size / unit:.3g} {'kB' if unit == 1000 else 'MB'}" in card
     assert "preset key `transient.bin_count` | `1400`" in card
     assert "preset key `dataset.seed` | `3`" in card
+    # The preset has values of three origins, so the card does not say that they are all the paper's.
+    assert "have the value of the preset `paper`" in card
+    assert "the value of the paper;" not in card
     assert "No licence has been chosen yet" in card
     assert str(corners.root.parent) not in card
     assert not re.search(r"\s/\w", card)  # no absolute path

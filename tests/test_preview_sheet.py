@@ -94,7 +94,7 @@ def test_the_pixel_ratio_is_that_of_the_masks(corners):
     assert found.background_ratio == pytest.approx(background / on_object, rel=1e-12)
     assert found.object_pixels == {i: m.sum() for i, m in zip(RENDERED, masks, strict=True)}
     assert found.image_sizes == ((24, 18),)
-    assert ratio_sentence(found) == f"background/object {background / on_object:.1f} (paper: 30.2)"
+    assert ratio_sentence(found) == f"background/object {background / on_object:.1f} (released code: 30.2)"
 
 
 def test_every_drawn_object_falls_into_a_bin(corners):

@@ -314,6 +314,13 @@ def test_a_time_axis_that_fits_no_memory_is_refused_before_rendering(rendered, m
         Renderer(rendered, path_settings(4))
 
 
+def test_a_transient_larger_than_openexr_writes_is_refused_before_rendering(rendered):
+    larger = path_settings(4, resolution=(800, 600))  # x 1500 bins x 4 bytes: 2.88 GB
+    with pytest.raises(RenderError, match=r"800x600 pixels and 1500 bins has 2.88 GB, .* at most 2.15 GB"):
+        Renderer(rendered, larger)
+    dataclasses.replace(larger, product="itof").layout(rendered)
+
+
 def test_an_aspect_ratio_that_the_projector_does_not_have_is_refused(rendered):
     with pytest.raises(RenderError, match="aspect ratio"):
         Renderer(rendered, path_settings(4, resolution=(30, 30)))

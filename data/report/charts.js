@@ -3,9 +3,9 @@
   const charts = JSON.parse(document.getElementById("chart-data").textContent);
   const { colour } = drawing;
 
-  const MODES = { line: "lines", dots: "lines+markers", rings: "markers" };
+  const MODES = { line: "lines", dots: "lines+markers", points: "markers", rings: "markers" };
   const RING = { symbol: "circle-open", size: 12, line: { width: 2 } };
-  const MARKERS = { line: {}, dots: { size: 7 }, rings: RING };
+  const MARKERS = { line: {}, dots: { size: 7 }, points: { size: 7, opacity: 0.7 }, rings: RING };
 
   const bars = (part, chart) => ({
     type: "bar",
@@ -18,7 +18,7 @@
     marker: { color: colour(part.colour), line: { width: 0 } },
     customdata: part.edges.slice(1),
     hovertemplate:
-      chart.x_label + " %{x:.4g} to %{customdata:.4g}<br>" + chart.y_label + ": %{y}<extra></extra>",
+      chart.x_label + " %{x:.4g} to %{customdata:.4g}<br>" + chart.y_label + ": %{y:.6~g}<extra></extra>",
   });
 
   const curve = (part, chart) => ({

@@ -1,6 +1,7 @@
 // Draws the point clouds of model/report/report_scenes.py.
 (() => {
   const clouds = JSON.parse(document.getElementById("cloud-data").textContent);
+  const colours = JSON.parse(document.getElementById("colour-data").textContent);
   const { colour, say } = drawing;
   const FILES = "The same points are in the report's folder pointclouds, as PLY files";
 
@@ -13,15 +14,27 @@
     }
   };
 
-  const points = (name, list) => ({
+  const byDistance = (cloud) => ({
+    color: cloud.distance,
+    cmin: 0,
+    cmax: colours.far,
+    colorscale: colours.distance.map((one, index, all) => [index / (all.length - 1), one]),
+  });
+
+  // `distance` is there for the prediction alone.
+  const points = (name, list, marker, distance) => ({
     type: "scatter3d",
     mode: "markers",
     name,
     x: list.map((point) => point[0]),
     y: list.map((point) => point[1]),
     z: list.map((point) => point[2]),
-    marker: { size: 2.2, color: colour(name), opacity: 0.85, line: { width: 0 } },
-    hovertemplate: "x %{x:.3f} m<br>y %{y:.3f} m<br>z %{z:.3f} m<extra>" + name + "</extra>",
+    marker: { size: 2.2, opacity: 0.85, line: { width: 0 }, ...marker },
+    customdata: distance?.map((metres) => (metres < colours.far ? "" : "at least ") + (100 * metres).toFixed(1)),
+    hovertemplate:
+      "x %{x:.3f} m<br>y %{y:.3f} m<br>z %{z:.3f} m" +
+      (distance ? "<br>%{customdata} cm from the truth" : "") +
+      "<extra>" + name + "</extra>",
   });
 
   const layout = (cloud) => {
@@ -74,7 +87,11 @@
     boxes.filter((box) => cloudOf(box) !== null),
     (box) => {
       const cloud = cloudOf(box);
-      return [[points("truth", cloud.truth), points("prediction", cloud.prediction)], layout(cloud), config];
+      const traces = [
+        points("truth", cloud.truth, { color: colours.truth }),
+        points("prediction", cloud.prediction, byDistance(cloud), cloud.distance),
+      ];
+      return [traces, layout(cloud), config];
     },
     () => FILES + ".",
   );

@@ -16,11 +16,16 @@ from model.data.array_files import ArrayFile, header_of, is_array_file, read_arr
 from model.data.pieces import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
 from model.data.rows import RowBlock
+from model.settings import GroundTruth
 from scenegen import Dataset, whole_folder
 
 
 def write_piece(
-    dataset: Dataset, folder: Path, contents: PieceContents, on_scene: Callable[[], None]
+    dataset: Dataset,
+    folder: Path,
+    contents: PieceContents,
+    on_scene: Callable[[], None],
+    ground_truth: GroundTruth,
 ) -> None:
     """Write a piece, whole or not at all; memory holds one scene at a time.
 
@@ -38,7 +43,7 @@ def write_piece(
             for name, (dtype, shape) in contents.arrays.items():
                 stream = stack.enter_context((partial / f"{name}.npy").open("wb"))
                 files[name] = ArrayFile(stream, dtype, shape)
-            for rendered in _rendered(dataset, contents):
+            for rendered in _rendered(dataset, contents, ground_truth):
                 files["phasors"].append(np.moveaxis(split_components(rendered.phasor), -1, 0))
                 truth = rendered.truth
                 files["target"].append(np.stack([truth.phasor.real, truth.phasor.imag]))
@@ -119,10 +124,12 @@ def _read_single_rows(
                 raise EOFError(file)
 
 
-def _rendered(dataset: Dataset, contents: PieceContents) -> Iterator[RenderedScene]:
+def _rendered(
+    dataset: Dataset, contents: PieceContents, ground_truth: GroundTruth
+) -> Iterator[RenderedScene]:
     """The scenes of a piece, one at a time; `ShardError` if a size is not the piece's."""
     for scene in contents.scenes:
-        rendered = read_render(dataset, scene)
+        rendered = read_render(dataset, scene, ground_truth)
         if rendered.truth.mask.shape != (contents.height, contents.width):
             raise ShardError(
                 f"wrong resolution between stages: scene {scene} was rendered at {rendered.size} pixels, "

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import DepthMap, Image, ImageFileError, read_image
+from itof import DepthMap, Image, ImageFileError, TransientReader, depth_from_phase, phase, read_image
+from model.settings import GroundTruth
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,
+    MIRRORED_TRANSIENT_FILE,
     RENDER_AGAIN,
     Dataset,
     FileHashes,
@@ -20,6 +22,8 @@ from scenegen import (
     recorded_file,
 )
 from scenegen.recorded_files import changed_file
+
+TRUTH_FILES: dict[GroundTruth, str] = {"geometry": GROUND_TRUTH_FILE, "simulated": MIRRORED_TRANSIENT_FILE}
 
 
 class ShardError(NightError):
@@ -46,7 +50,7 @@ class RenderedScene:
         return f"{width}x{height}"
 
 
-def source_files(dataset: Dataset) -> dict[str, Path]:
+def source_files(dataset: Dataset, ground_truth: GroundTruth) -> dict[str, Path]:
     """The files from which shards are made, by their path within the dataset, in scene order.
 
     Raises
@@ -57,20 +61,23 @@ def source_files(dataset: Dataset) -> dict[str, Path]:
     files = {
         f"renders/{scene}/{name}": dataset.render_folder(scene) / name
         for scene in scenes
-        for name in (MEASUREMENT_FILE, GROUND_TRUTH_FILE)
+        for name in (MEASUREMENT_FILE, TRUTH_FILES[ground_truth])
     }
     missing = [path for path in files.values() if not path.is_file()]
     if missing:
         unrendered = sorted({path.parent.name for path in missing})
         others = f" (and {len(unrendered) - 1} more of {len(scenes)} scenes)" if len(unrendered) > 1 else ""
+        more = " --product both" if missing[0].name == MIRRORED_TRANSIENT_FILE else ""
         raise ShardError(
             f"scene {missing[0].parent.name}{others} has no {missing[0].name}: "
-            f"run night-render {dataset.root}"
+            f"run night-render {dataset.root}{more}"
         )
     return files
 
 
-def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, str]]:
+def source_hashes(
+    dataset: Dataset, hashes: FileHashes, ground_truth: GroundTruth
+) -> dict[str, dict[str, str]]:
     """SHA-256 of the files from which shards are made, by scene and by their path within the dataset.
 
     Raises
@@ -80,7 +87,7 @@ def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, s
     """
     found: dict[str, dict[str, str]] = {scene: {} for scene in dataset.ids()}
     record = None
-    for name, path in source_files(dataset).items():
+    for name, path in source_files(dataset, ground_truth).items():
         scene = path.parent.name
         if not found[scene]:
             record = read_record(path.parent)
@@ -92,7 +99,7 @@ def source_hashes(dataset: Dataset, hashes: FileHashes) -> dict[str, dict[str, s
     return found
 
 
-def read_render(dataset: Dataset, scene: str) -> RenderedScene:
+def read_render(dataset: Dataset, scene: str, ground_truth: GroundTruth = "geometry") -> RenderedScene:
     """Measurement and ground truth of a scene, from files that are compared with their record first.
 
     Raises
@@ -106,7 +113,8 @@ def read_render(dataset: Dataset, scene: str) -> RenderedScene:
     measured_file = recorded_file(dataset, scene, MEASUREMENT_FILE)
     image = read_image(measured_file, advice=RENDER_AGAIN)
     phasor = _phasors(scene, measured_file, image, frequencies_hz)
-    truth = _ground_truth(scene, recorded_file(dataset, scene, GROUND_TRUTH_FILE), frequencies_hz[0])
+    read_truth = _simulated_truth if ground_truth == "simulated" else _ground_truth
+    truth = read_truth(scene, recorded_file(dataset, scene, TRUTH_FILES[ground_truth]), frequencies_hz[0])
     if phasor.shape[:2] != truth.mask.shape:
         height, width = truth.mask.shape
         raise ShardError(
@@ -125,6 +133,35 @@ def _ground_truth(scene: str, file: Path, frequency_hz: float) -> DepthMap:
         raise ShardError(f"scene {scene}: {file} {error}: {RENDER_AGAIN}") from None
     _refuse_other_frequencies(scene, file, (truth.frequency_hz,), (frequency_hz,))
     return truth
+
+
+def _simulated_truth(scene: str, file: Path, frequency_hz: float) -> DepthMap:
+    """The truth that the simulated camera measures of the mirrored scene: Φ x of its transient.
+
+    The phasor is divided by its own amplitude, as the components of the network's input are, which gives the
+    amplitude 1 of the paper's released code. A pixel shows the object if any light comes from it, so pixels
+    at an edge belong to the object. The depth is that of the phase.
+
+    Source: Caligiuri et al. 2024, sec. 4.1 (the same simulator as for the input); normalisation is ours.
+    """
+    try:
+        with TransientReader(file, advice=RENDER_AGAIN) as reader:
+            measured = reader.phasors([frequency_hz])[..., 0]  # (H, W)
+    except ImageFileError:
+        raise
+    except ValueError as error:
+        raise ShardError(f"scene {scene}: {file} gives no phasors ({error}): {RENDER_AGAIN}") from None
+    with np.errstate(over="ignore"):  # the next line finds overflows
+        _refuse_not_finite(scene, file, measured.astype(np.complex64))
+    amplitude = np.abs(measured)
+    mask = amplitude > 0
+    unit = measured / np.where(mask, amplitude, 1)
+    return DepthMap(
+        radial_depth_m=np.where(mask, depth_from_phase(phase(measured), frequency_hz), 0),
+        mask=mask,
+        phasor=unit.astype(np.complex64),
+        frequency_hz=frequency_hz,
+    )
 
 
 def _phasors(

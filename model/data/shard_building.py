@@ -26,7 +26,8 @@ from model.data.pieces import (
 from model.data.renders import ShardError, read_render, source_hashes
 from model.data.rows import ARRAYS, RowLayout
 from model.network.wall_view import wall_view
-from scenegen import Dataset, FileHashes, whole_file
+from model.settings import GroundTruth
+from scenegen import Dataset, FileHashes, inside, whole_file
 from scenegen.files.own_files import other_files
 from scenegen.files.partials import remove_leftovers
 from scenegen.progress import showing_progress
@@ -35,7 +36,15 @@ REFERENCE_FILE = "reference.npy"
 _log = logging.getLogger(__name__)
 
 
-def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> ShardManifest:
+def shard_folder(dataset: Dataset, ground_truth: GroundTruth) -> Path:
+    """The folder of the shards with this ground truth."""
+    folder = dataset.shard_folder
+    return folder if ground_truth == "geometry" else inside(folder, ground_truth)
+
+
+def update_shards(
+    dataset: Dataset, hashes: FileHashes, progress: bool, ground_truth: GroundTruth = "geometry"
+) -> ShardManifest:
     """Bring pieces, reference and manifest up to date, in this order.
 
     Raises
@@ -44,14 +53,14 @@ def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> Shard
         a piece holds other files.
     OSError : the disk is full.
     """
-    folder = dataset.shard_folder
-    sources = source_hashes(dataset, hashes)
-    layout = _layout(dataset, sources)
+    folder = shard_folder(dataset, ground_truth)
+    sources = source_hashes(dataset, hashes, ground_truth)
+    layout = _layout(dataset, sources, ground_truth)
     pieces = _pieces(dataset, layout, sources)
     before = read_manifest(folder)
     _refuse_other_files(folder)
     _remove_surplus(folder, {piece.name for piece in pieces})
-    rebuilt = _update_pieces(dataset, pieces, hashes, progress)
+    rebuilt = _update_pieces(dataset, pieces, hashes, progress, ground_truth)
     manifest = ShardManifest(
         frequencies_hz=dataset.preset.itof.frequencies_hz,
         width=layout.width,
@@ -60,23 +69,25 @@ def update_shards(dataset: Dataset, hashes: FileHashes, progress: bool) -> Shard
         scenes=tuple(replace(entry, sha256=None) for entry in dataset.index.scenes),
         scenes_per_piece=scenes_per_piece(layout),
         pieces=tuple(_record(folder / piece.name) for piece in pieces),
-        reference_sha256=_update_reference(dataset, layout, before, hashes),
+        reference_sha256=_update_reference(dataset, folder, layout, before, hashes),
     )
     if rebuilt or manifest != before:
         write_manifest(folder, manifest)
     return manifest
 
 
-def _layout(dataset: Dataset, sources: Mapping[str, Mapping[str, str]]) -> RowLayout:
+def _layout(
+    dataset: Dataset, sources: Mapping[str, Mapping[str, str]], ground_truth: GroundTruth
+) -> RowLayout:
     """Shape of a row, from the first scene; its images are read only if its piece is out of date."""
     first = dataset.ids()[0]
     frequencies_hz = dataset.preset.itof.frequencies_hz
-    folder = dataset.shard_folder / first
+    folder = shard_folder(dataset, ground_truth) / first
     record = read_piece_record(folder)
     is_current = record is not None and sources[first].items() <= record.contents.sources.items()
     if record and is_current and has_its_arrays(folder, record.contents):
         return RowLayout(record.contents.width, record.contents.height, len(frequencies_hz))
-    height, width = read_render(dataset, first).truth.mask.shape
+    height, width = read_render(dataset, first, ground_truth).truth.mask.shape
     return RowLayout(width, height, len(frequencies_hz))
 
 
@@ -98,10 +109,14 @@ def _pieces(
 
 
 def _update_pieces(
-    dataset: Dataset, pieces: Sequence[PieceContents], hashes: FileHashes, progress: bool
+    dataset: Dataset,
+    pieces: Sequence[PieceContents],
+    hashes: FileHashes,
+    progress: bool,
+    ground_truth: GroundTruth,
 ) -> bool:
     """Rebuild the pieces that are out of date; whether there were any."""
-    folder = dataset.shard_folder
+    folder = shard_folder(dataset, ground_truth)
     reasons = {piece.name: why_stale(folder / piece.name, piece, hashes) for piece in pieces}
     stale = [piece for piece in pieces if reasons[piece.name]]
     if not stale:
@@ -112,7 +127,7 @@ def _update_pieces(
     scene_count = sum(len(piece.scenes) for piece in stale)
     with showing_progress(scene_count, "scene", "shards", show=progress) as bar:
         for piece in stale:
-            write_piece(dataset, folder / piece.name, piece, bar.update)
+            write_piece(dataset, folder / piece.name, piece, bar.update, ground_truth)
     for piece in stale:
         why_stale(folder / piece.name, piece, hashes)  # hashes the new files while the disk cache has them
     return True
@@ -126,10 +141,10 @@ def _record(piece: Path) -> PieceRecord:
 
 
 def _update_reference(
-    dataset: Dataset, layout: RowLayout, before: ShardManifest | None, hashes: FileHashes
+    dataset: Dataset, folder: Path, layout: RowLayout, before: ShardManifest | None, hashes: FileHashes
 ) -> str:
     """SHA-256 of ``reference.npy``, which is written first if it is missing or out of date."""
-    file = dataset.shard_folder / REFERENCE_FILE
+    file = folder / REFERENCE_FILE
     asked = (preset_sha256(dataset.preset), layout)
     if before and (before.preset_sha256, before.layout) == asked:
         if not is_array_file(file, *reference_array(layout)):

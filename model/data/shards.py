@@ -22,7 +22,8 @@ from model.data.manifest import MANIFEST_FILE, ShardManifest
 from model.data.piece_arrays import read_rows
 from model.data.renders import ShardError
 from model.data.rows import RowBlock
-from model.data.shard_building import REFERENCE_FILE, reference_array, update_shards
+from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
+from model.settings import GroundTruth
 from scenegen import Dataset, FileHashes, Split, read_failure
 
 _log = logging.getLogger(__name__)
@@ -73,12 +74,18 @@ class Shards:
         return self.read(rows).complex_phasors()
 
 
-def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
+def open_shards(
+    dataset: Dataset, *, ground_truth: GroundTruth = "geometry", progress: bool = False
+) -> Shards:
     """Open the shards of a dataset; parts that are missing or out of date are built first.
 
     An interrupted build continues with the piece at which it stopped. Files that did not change since the
     last time are not read again. Scenes that night-render failed to render (they have a ``failure.json``)
     are left out.
+
+    Parameters
+    ----------
+    ground_truth : ``simulated`` has shards of its own, in the folder ``simulated`` of the others.
 
     Raises
     ------
@@ -87,10 +94,11 @@ def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
     """
     hashes = FileHashes(dataset.root)
     try:
-        manifest = update_shards(_without_failures(dataset), hashes, progress)
+        manifest = update_shards(_without_failures(dataset), hashes, progress, ground_truth)
     finally:
         hashes.save()
-    file = dataset.shard_folder / REFERENCE_FILE
+    folder = shard_folder(dataset, ground_truth)
+    file = folder / REFERENCE_FILE
     try:
         reference = read_array(file, *reference_array(manifest.layout))  # (2F, H, W)
     except (OSError, ValueError):
@@ -102,7 +110,7 @@ def open_shards(dataset: Dataset, *, progress: bool = False) -> Shards:
             f"{file} holds NaN or infinite values, although {MANIFEST_FILE} vouches for it: delete it, and "
             "it is made again"
         )
-    return Shards(dataset.shard_folder, manifest, join_components(np.moveaxis(reference, 0, -1)))
+    return Shards(folder, manifest, join_components(np.moveaxis(reference, 0, -1)))
 
 
 def _without_failures(dataset: Dataset) -> Dataset:

@@ -50,7 +50,7 @@ class NightLoss:
     on : quantity whose error is taken. ``components``: the mean of |Re error| and |Im error| of the raw
         output, as in the paper's released code; this target is smooth and does not wrap. ``depth``: the
         radial depth in metres, as in the paper's text; where the mask is wrong, the error is the depth
-        itself.
+        itself. A network that predicts depth has always this error.
     alpha : weight of the object pixels.
     balance : ``image`` is ours, ``dataset`` the released code's, ``class-means`` the text's.
     background_per_object : |B| / |O| of the training scenes, for the balance ``dataset``.
@@ -74,7 +74,7 @@ class NightLoss:
             raise ValueError("the balance dataset needs background_per_object of the training scenes")
 
     def __call__(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
-        """Loss of (N, 2, H, W) outputs, a scalar.
+        """Loss of (N, C, H, W) outputs, a scalar.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class NightLoss:
     def mean_error(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
         """(N,) L_MAE of every image, or the same with squares."""
         power = 2 if self.name.startswith("mse") else 1
-        if self.on == "components":
+        if self.on == "components" and self.readout.target == "components":
             error = (output - target).abs().pow(power).mean(dim=1)  # (N, H, W)
         else:
             error = (self.readout.radial_depth_m(output) - radial_depth_m).abs().pow(power)

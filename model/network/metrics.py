@@ -52,6 +52,12 @@ class Statistics:
     max: float
     count: int
 
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Statistics:
+        """Statistics of at least one value."""
+        x = np.asarray(values, dtype=np.float64)
+        return cls(float(x.mean()), float(x.std()), float(x.min()), float(x.max()), len(x))
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -126,14 +132,9 @@ def summarise(metrics: Sequence[ImageMetrics]) -> Summary:
         for field in fields(Summary)
     }
     return Summary(
-        depth_mae_m=_statistics(values["depth_mae_m"]),
-        object_mae_m=_statistics(values["object_mae_m"]) if values["object_mae_m"] else None,
-        object_iou=_statistics(values["object_iou"]),
-        miou=_statistics(values["miou"]),
-        accuracy=_statistics(values["accuracy"]),
+        depth_mae_m=Statistics.of(values["depth_mae_m"]),
+        object_mae_m=Statistics.of(values["object_mae_m"]) if values["object_mae_m"] else None,
+        object_iou=Statistics.of(values["object_iou"]),
+        miou=Statistics.of(values["miou"]),
+        accuracy=Statistics.of(values["accuracy"]),
     )
-
-
-def _statistics(values: Sequence[float]) -> Statistics:
-    x = np.asarray(values, dtype=np.float64)
-    return Statistics(float(x.mean()), float(x.std()), float(x.min()), float(x.max()), len(x))

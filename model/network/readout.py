@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
-from model.settings import MaskSource, TrainSettings
+from model.settings import MaskSource, Target, TrainSettings
 
 # The gradient of the phase is 1 / amplitude and diverges at 0. Below this amplitude, the dead zone of the
 # paper's released code, it is that of this amplitude.
@@ -17,7 +17,7 @@ LEAST_AMPLITUDE = 0.05
 
 @dataclass(frozen=True)
 class Readout:
-    """Mask and depth of (N, 2, H, W) outputs (Re and Im of the mirrored scene).
+    """Mask and depth of (N, C, H, W) outputs: C = 2, Re and Im of the mirrored scene, or C = 1, its depth.
 
     A step function has no useful gradient. Each one here is *straight-through*: its value is exact, and its
     gradient is that of the identity.
@@ -29,11 +29,16 @@ class Readout:
         amplitudes 0 and 1; 0.5 is halfway.
     dead_zone : components of smaller magnitude become 0 before mask and depth are computed. 0.05 in the
         released code: this moves phases within 0.05 rad of an axis onto that axis, up to 6 cm at 20 MHz. 0
-        switches it off.
+        switches it off. If the output is a depth: depths below so many metres become 0, also negative ones.
     mask_from : ``amplitude``: a pixel shows the object if its amplitude is at least `mask_threshold`.
         ``depth``: if its radial depth is above `mask_depth_m`, as in the paper. An output of 0 has phase 0
         and depth 0, so it is background; so is a pixel whose Re alone is above 0, at any amplitude.
     mask_depth_m : threshold of the depth, metres.
+    target : what the output is; ``depth``: radial depth in metres, whose mask is that of the depth.
+
+    Raises
+    ------
+    ValueError : the mask of a predicted depth is to come from an amplitude.
 
     Source: thresholds on the depth from Caligiuri et al. 2024, sec. 4.2; straight-through gradients from
     Bengio et al., "Estimating or propagating gradients through stochastic neurons", 2013.
@@ -44,12 +49,30 @@ class Readout:
     dead_zone: float = TrainSettings.dead_zone
     mask_from: MaskSource = TrainSettings.mask_from
     mask_depth_m: float = TrainSettings.mask_depth_m
+    target: Target = TrainSettings.target
+
+    def __post_init__(self) -> None:
+        if self.target == "depth" and self.mask_from != "depth":
+            raise ValueError("a predicted depth has no amplitude: its mask must come from the depth")
+
+    @property
+    def output_channels(self) -> int:
+        """C, number of channels of the network's output."""
+        return 1 if self.target == "depth" else 2
+
+    @property
+    def of_phasors(self) -> Readout:
+        """Reads what `components` has made of an output: other than this readout if the output is a depth."""
+        if self.target == "components":
+            return self
+        return replace(self, target="components", mask_from="amplitude", dead_zone=0.0)
 
     @property
     def rule(self) -> str:
         """What says whether a pixel shows the object, in words."""
         if self.mask_from == "depth":
-            return f"depth above {self.mask_depth_m:g} m"
+            dead_zone_m = self.dead_zone if self.target == "depth" else 0.0
+            return f"depth above {max(self.mask_depth_m, dead_zone_m):g} m"
         return f"mask threshold {self.mask_threshold:g}"
 
     @property
@@ -58,7 +81,14 @@ class Readout:
         return float(depth_from_phase(1.0, self.frequency_hz))
 
     def components(self, output: Tensor) -> Tensor:
-        """(N, 2, H, W) output with the components inside the dead zone set to 0; straight-through."""
+        """(N, 2, H, W) output with the components inside the dead zone set to 0; straight-through.
+
+        Of a predicted depth: the phasor of amplitude 1 on the mask with the phase of that depth, without a
+        gradient.
+        """
+        if self.target == "depth":
+            phase = self.radial_depth_m(output.detach()) / self.metres_per_radian  # (N, H, W)
+            return torch.stack([phase.cos(), phase.sin()], dim=1) * self.mask(output.detach())[:, None]
         zeroed = torch.where(output.abs() < self.dead_zone, 0.0, output)
         return _straight_through(zeroed, output)
 
@@ -115,9 +145,13 @@ class Readout:
     def _depth_everywhere_m(self, output: Tensor) -> Tensor:
         """(N, H, W) depth of every pixel, metres, 0 where both components are in the dead zone.
 
-        The gradient is that of the raw output's phase, bounded by `LEAST_AMPLITUDE`. An output of 0 is taken
-        to be on the positive real axis, where the depth is 0.
+        A predicted depth is itself the value, and 0 in the dead zone; its gradient is straight-through.
+        Otherwise the gradient is that of the raw output's phase, bounded by `LEAST_AMPLITUDE`. An output of 0
+        is taken to be on the positive real axis, where the depth is 0.
         """
+        if self.target == "depth":
+            depth_m = output[:, 0]
+            return _straight_through(torch.where(depth_m < self.dead_zone, 0.0, depth_m), depth_m)
         value = self._depth_of_components_m(self.components(output.detach()))
         positive_real = torch.zeros_like(output)
         positive_real[:, 0] = 1

@@ -1,4 +1,4 @@
-"""The network: a U-Net from input channels to the phasor of the mirrored scene."""
+"""The network: a U-Net from input channels to the phasor, or the depth, of the mirrored scene."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from model.settings import Freeze
+
 LEVELS = 5  # of the encoder; four poolings, so image sizes are padded to multiples of 16
-OUTPUT_CHANNELS = 2  # Re and Im at the first frequency
-HEAD_CHANNELS = (16, 8, 4, OUTPUT_CHANNELS)
+HEAD_CHANNELS = (16, 8, 4)  # then the output
 
 
 class UNet(nn.Module):
@@ -20,7 +21,8 @@ class UNet(nn.Module):
     convolutions and ReLU, and a 2x2 max pooling between levels. Decoder: on each level a 2x2 transposed
     convolution, concatenation with the encoder's output of that level (skip connection), two 3x3 convolutions
     with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions to 8, 4 and 2 channels, with
-    ReLU between them. There is no ReLU after the last one, because Re and Im have both signs.
+    ReLU between them. There is no ReLU after the last one, because Re and Im have both signs. A network that
+    predicts depth has one output channel instead of two, and no other difference.
 
     *Padding.* An image size that is not a multiple of 16 is padded to the next multiple and the output is
     cropped. The padding is divided as evenly as possible between the two sides, so that a flip of the image
@@ -38,6 +40,7 @@ class UNet(nn.Module):
     ----------
     input_channels : C, at least 1.
     width : channels of the first level, at least 1; 32 gives 7,763,270 parameters with 7 input channels.
+    output_channels : 2 for Re and Im, 1 for depth.
     generator : random generator of the initial weights; None for PyTorch's global one.
 
     Raises
@@ -49,7 +52,12 @@ class UNet(nn.Module):
     """
 
     def __init__(
-        self, input_channels: int, width: int = 32, *, generator: torch.Generator | None = None
+        self,
+        input_channels: int,
+        width: int = 32,
+        *,
+        output_channels: int = 2,
+        generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
         if input_channels < 1 or width < 1:
@@ -67,13 +75,13 @@ class UNet(nn.Module):
         )
         self.decoder = nn.ModuleList(_two_convolutions(2 * shallow, shallow) for shallow in deepest_first[1:])
         head: list[nn.Module] = [nn.Conv2d(width, HEAD_CHANNELS[0], kernel_size=1)]
-        for before, after in pairwise(HEAD_CHANNELS):
+        for before, after in pairwise([*HEAD_CHANNELS, output_channels]):
             head += [nn.ReLU(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
         self.head = nn.Sequential(*head)
         self._initialise(generator)
 
     def forward(self, channels: Tensor) -> Tensor:
-        """(N, 2, H, W) Re and Im of the mirrored scene, from (N, C, H, W) input channels."""
+        """(N, 2, H, W) Re and Im, or (N, 1, H, W) depth, from (N, C, H, W) input channels."""
         height, width = channels.shape[-2:]
         left, right, top, bottom = (*_padding(width), *_padding(height))
         x = functional.pad(channels, (left, right, top, bottom), mode="replicate")
@@ -90,6 +98,19 @@ class UNet(nn.Module):
         with torch.autocast(x.device.type, enabled=False):
             output: Tensor = self.head(x.to(channels.dtype))
         return output[..., top : top + height, left : left + width]
+
+    def freeze(self, layers: Freeze) -> None:
+        """Leave some layers out of the training: ``encoder``, or encoder and decoder (``all-but-head``).
+
+        There are no normalisation layers, so weights and biases are all that a layer has.
+        """
+        frozen = {
+            "none": (),
+            "encoder": (self.encoder,),
+            "all-but-head": (self.encoder, self.upsampling, self.decoder),
+        }
+        for part in frozen[layers]:
+            part.requires_grad_(False)
 
     @property
     def parameter_count(self) -> int:

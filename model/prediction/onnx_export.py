@@ -24,7 +24,7 @@ from model.run_folder.run_config import RunConfig
 from scenegen import NightError, PathLike, whole_file
 
 INPUT: Final = "channels"
-OUTPUT: Final = "components"
+OUTPUTS: Final = {"components": "components", "depth": "radial_depth_m"}  # names, by settings.target
 METADATA: Final = "night.run"  # key of the metadata; its value is ``run.json``
 NEEDED: Final = ("onnx", "onnxruntime", "onnxscript")
 # Batches of the check: number of images, amplitude of their channels. There are several amplitudes because
@@ -67,8 +67,9 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
     """Write the network of `run` as the ONNX file `out`, whole or not at all.
 
     The input ``channels`` (N, C, H, W) float32 are those of `InputSpec.apply`. The output ``components``
-    (N, 2, H, W) float32 is Re and Im of the mirrored scene. N is free, H and W are those of the training. The
-    metadata ``night.run`` contains ``run.json``: channels, their constants, camera and wall.
+    (N, 2, H, W) float32 is Re and Im of the mirrored scene; of a network that predicts depth it is
+    ``radial_depth_m`` (N, 1, H, W), metres, before any threshold. N is free, H and W are those of the
+    training. The metadata ``night.run`` contains ``run.json``: channels, their constants, camera and wall.
 
     Before the file gets its name, ONNX Runtime computes outputs of smooth random channels with it, and they
     are compared with those of PyTorch.
@@ -118,7 +119,7 @@ def _onnx_model(network: UNet, config: RunConfig) -> Any:
             network,
             (torch.zeros(shape),),
             input_names=[INPUT],
-            output_names=[OUTPUT],
+            output_names=[OUTPUTS[config.settings.target]],
             dynamic_shapes=({0: torch.export.Dim("N", min=1)},),
             dynamo=True,
             verbose=False,
@@ -148,7 +149,7 @@ def _compare(file: Path, network: UNet, config: RunConfig, seed: int) -> OnnxChe
         channels = strength * _smooth_channels(count, config, generator)
         ours = _run(network, channels)
         truth = _run(exact, channels.double())
-        theirs = np.asarray(session.run([OUTPUT], {INPUT: channels.numpy()})[0])
+        theirs = np.asarray(session.run([OUTPUTS[config.settings.target]], {INPUT: channels.numpy()})[0])
         if not all(np.isfinite(output).all() for output in (ours, truth, theirs)):
             raise ExportError(
                 "the network answers with NaN or infinite values to random channels: its weights are of no "

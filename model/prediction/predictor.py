@@ -137,7 +137,7 @@ class Predictor:
         self, channels: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
         self.network.eval()
-        output = self.network(torch.from_numpy(channels).to(self.device))  # (N, 2, H, W)
+        output = self.network(torch.from_numpy(channels).to(self.device))  # (N, C, H, W)
         if not bool(output.isfinite().all()):
             raise RunError(
                 "the network answers with NaN or infinite values: its weights are damaged, or the "
@@ -156,7 +156,7 @@ def _refuse_not_phasors(z: NDArray[np.generic], what: str) -> None:
 def read_output(
     output: Tensor, readout: Readout
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
-    """Radial depth in metres, mask and phasor, each (N, H, W), of network outputs (N, 2, H, W)."""
+    """Radial depth in metres, mask and phasor, each (N, H, W), of network outputs (N, C, H, W)."""
     output = output.detach()
     components = np.moveaxis(readout.components(output).cpu().numpy(), 1, -1)  # (N, H, W, 2)
     phasor = join_components(components)[..., 0].astype(np.complex64)  # (N, H, W)

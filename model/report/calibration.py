@@ -95,7 +95,7 @@ class ThresholdSweep:
     """
 
     def __init__(self, split: Split, thresholds: Sequence[float], readout: Readout) -> None:
-        self.split, self.thresholds, self._readout = split, sorted({*thresholds}), readout
+        self.split, self.thresholds, self._readout = split, sorted({*thresholds}), readout.of_phasors
         self._miou: list[NDArray[np.float64]] = []
         self._depth_mae_m: list[NDArray[np.float64]] = []
 

@@ -16,6 +16,7 @@ COLOURS = {"text": TEXT, "baseline": BASELINE, "prediction": "#0b6fb8", "truth":
 STYLES: dict[str, dict[str, Any]] = {
     "line": {},
     "dots": {"marker": "o"},
+    "points": {"marker": "o", "markersize": 3.5, "linestyle": "none", "alpha": 0.6},
     "rings": {"marker": "o", "fillstyle": "none", "markersize": 8, "linestyle": "none"},
 }
 DASHES = {"dash": "--", "dot": ":"}

@@ -24,17 +24,17 @@ BIN_COUNT = 24
 
 @dataclass(frozen=True)
 class Bars:
-    """A histogram: `counts` (n,) in the bins between `edges` (n + 1,)."""
+    """A histogram: `counts` (n,), numbers or percentages, in the bins between `edges` (n + 1,)."""
 
     name: str
     colour: Colour
     edges: tuple[float, ...]
-    counts: tuple[int, ...]
+    counts: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Points (x, y): joined by a line, joined and with a dot each, or rings alone.
+    """Points (x, y): joined by a line, joined and with a dot each, or alone as dots (`points`) or rings.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Curve:
     colour: Colour
     x: tuple[float, ...]
     y: tuple[float | None, ...]
-    style: Literal["line", "dots", "rings"] = "line"
+    style: Literal["line", "dots", "points", "rings"] = "line"
     width_pt: float = 1.5
 
 
@@ -90,7 +90,10 @@ class Chart:
 
 
 def distributions(report: Report) -> tuple[Chart, ...]:
-    """Histograms of MAE, mIoU and accuracy: of the prediction, and of "no object" behind it."""
+    """Histograms of MAE, mIoU and accuracy, and of accuracy in the bins of the paper, with its numbers.
+
+    The first three have those of "no object" behind them.
+    """
     ours, nothing = [r.prediction for r in report.scenes], [r.no_object for r in report.scenes]
     return (
         _histogram("mae_histogram", "MAE over all pixels, cm", _cm(ours), _cm(nothing)),
@@ -98,7 +101,22 @@ def distributions(report: Report) -> tuple[Chart, ...]:
         _histogram(
             "accuracy_histogram", "accuracy", [m.accuracy for m in ours], [m.accuracy for m in nothing]
         ),
+        _beside_paper(report),
     )
+
+
+def roundness_chart(report: Report) -> Chart:
+    """Roundness of the predicted mask against that of the true one, for the scenes that have both."""
+    pairs = report.roundness_pairs
+    ours, truth = (tuple(pair[side] for pair in pairs) for side in (0, 1))
+    least = min((*ours, *truth), default=0.0)
+    equal = "as round as the truth" if pairs else "no scene in which both show an object"
+    parts = [Curve(equal, "baseline", (least, 1.0), (least, 1.0), width_pt=1.2)]
+    if pairs:
+        parts.append(Curve(f"{len(pairs)} scenes", "prediction", truth, ours, "points"))
+        parts.append(Curve("mean", "truth", (float(np.mean(truth)),), (float(np.mean(ours)),), "rings"))
+    x_label, y_label = (f"roundness of the {whose} mask" for whose in ("true", "predicted"))
+    return Chart("roundness", x_label, y_label, tuple(parts))
 
 
 def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
@@ -145,6 +163,24 @@ def _histogram(name: str, label: str, ours: Sequence[float], nothing: Sequence[f
         parts.append(Bars(f"{who}, mean {mean:.3g}", colour, tuple(edges.tolist()), tuple(counts.tolist())))
         parts.append(Upright("", colour, mean, "dash"))
     return Chart(name, label, "number of scenes", tuple(parts), whole_y=True)
+
+
+def _beside_paper(report: Report) -> Chart:
+    """Shares of the scenes by accuracy in the paper's bins, ours and the paper's; the averages are dashed."""
+    both, mean = report.accuracy_histogram, report.prediction.accuracy.mean
+    outside = both.below + both.above
+    ours = f"prediction, mean {mean:.3g}" + (
+        f"; {outside} of {len(report.scenes)} outside" if outside else ""
+    )
+    parts: list[Bars | Upright] = []
+    whose: tuple[tuple[str, Colour, tuple[float, ...], float], ...] = (
+        (f"paper, mean {both.paper_mean:.3g}", "truth", both.paper_shares, both.paper_mean),
+        (ours, "prediction", both.shares, mean),
+    )
+    for name, colour, shares, middle in whose:
+        parts.append(Bars(name, colour, both.edges, tuple(100 * share for share in shares)))
+        parts.append(Upright("", colour, middle, "dash"))
+    return Chart("accuracy_paper", "accuracy", "share of the scenes, %", tuple(parts))
 
 
 def _sweep(name: str, label: str, calibration: Calibration, field: str, scale: float) -> Chart:

@@ -1,8 +1,11 @@
-"""Picture of a scene: Re, Im and depth, as in Fig. 5 of the paper; ground truth above prediction."""
+"""Picture of a scene: Re, Im and depth; ground truth above prediction."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -24,19 +27,37 @@ def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics
     figure = Figure(figsize=(10.5, 1.2 + 2 * 3.0 * height / width), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
-    near_m, far_m = depth_range(truth, prediction)
+    range_m = depth_range(truth, prediction)
     for row, (name, view) in enumerate((("ground truth", truth), ("prediction", prediction))):
-        components = [
-            axes[row, column].imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
-            for column, part in enumerate((view.phasor.real, view.phasor.imag))
-        ]
-        depth_m = np.where(view.mask, view.radial_depth_m, np.nan)  # NaN is drawn as background
-        depth = axes[row, 2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
+        component, depth = draw_view(axes[row], view, range_m)
         axes[row, 0].set_ylabel(name, fontsize=11)
         finish_panels(axes[row], titles=row == 0)
-    _colour_bars(figure, axes, components[1], depth)
+    _colour_bars(figure, axes, component, depth)
     figure.suptitle(f"{plain(title)}\n{describe(metrics)}", fontsize=11)
     return figure
+
+
+def draw_view(
+    panels: Sequence[Axes], view: DepthMap, range_m: tuple[float, float]
+) -> tuple[AxesImage, AxesImage]:
+    """Draw Re, Im and radial depth of a (H, W) depth map into three panels.
+
+    Parameters
+    ----------
+    range_m : radial depths at the ends of the colours, metres.
+
+    Returns
+    -------
+    The images of Im and of the depth, for their colour bars.
+    """
+    components = [
+        axes.imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
+        for axes, part in zip(panels[:2], (view.phasor.real, view.phasor.imag), strict=True)
+    ]
+    depth_m = np.where(view.mask, view.radial_depth_m, np.nan)  # NaN is drawn as background
+    near_m, far_m = range_m
+    depth = panels[2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
+    return components[1], depth
 
 
 def describe(metrics: ImageMetrics) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,16 @@ from model.report.judging import Bench, judge_split, shown_scenes
 from model.report.page import write_page
 from model.report.refusals import (
     EvaluationError,
+    refuse_amplitude_of_depth,
     refuse_missing_split,
     refuse_other_contents,
     refuse_other_images,
+    refuse_scenes_not_shown,
+    refuse_scenes_without_render,
 )
 from model.report.report_files import write_files
 from model.report.results import Report
+from model.report.showcase import choose, choose_for_figures
 from model.settings import DeviceName, MaskSource
 from scenegen import Dataset, PathLike, Split, whole_folder
 
@@ -33,6 +38,7 @@ def evaluate(
     progress: bool = True,
     mask_threshold: float | None = None,
     mask_from: MaskSource | None = None,
+    scenes: Sequence[str] = (),
 ) -> Report:
     """Judge the best weights of `run` on a split and write the report folder `out`.
 
@@ -42,8 +48,10 @@ def evaluate(
     ``metrics.csv``     one line for each scene
     ``table.txt``       summary as text
     ``summary.md``      summary as Markdown
-    ``figures/``        pictures of the best, the median and the worst scene; charts of the page
-    ``pointclouds/``    ``<id>_gt.ply`` and ``<id>_pred.ply``; missing if no pixel shows an object
+    ``figures/``        pictures of scenes: ``best.png``, ``median.png``, ``worst.png``, and several in
+                        ``scenes.png`` and ``point_clouds.png``; charts of the page
+    ``pointclouds/``    ``<id>_gt.ply`` (blue) and ``<id>_pred.ply`` (green to red by distance from the
+                        truth); missing if no pixel shows an object
     ==================  ======================================================================================
 
     The folder is written whole or not at all and replaces an earlier report. It is not replaced if it has got
@@ -54,27 +62,32 @@ def evaluate(
     run : run folder of the trained network.
     mask_threshold : a pixel shows the object if its amplitude is at least this; None for the run's own.
     mask_from : whether masks are taken from amplitude or depth; None for the run's own.
+    scenes : ids of the scenes in the figures of several scenes; none for five that are spread by accuracy.
 
     Raises
     ------
     EvaluationError : the split has no scenes, the run was trained for other images, the threshold is not
-        positive or of no use, or `out` contains anything but an earlier report.
+        positive or of no use, one of `scenes` is not in the split or not rendered, or `out` contains anything
+        but an earlier report.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
-    DatasetError : the description of a scene is missing or damaged.
+    DatasetError : the dataset lacks one of `scenes`, or the description of a scene is missing or damaged.
     """
     run, out = Path(run), Path(out).resolve()  # `whole_folder` needs a name; "." has none
     refuse_other_contents(out)
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):
         raise EvaluationError(f"a mask threshold is an amplitude above 0, got {mask_threshold:g}")
     predictor = load(run, device)
+    refuse_amplitude_of_depth(predictor.config, mask_from, mask_threshold)
     if mask_threshold is not None and (mask_from or predictor.config.readout.mask_from) == "depth":
         raise EvaluationError(
             "the masks are those of the depth, for which a threshold of the amplitude means nothing: leave "
             "--mask-threshold out, or add --mask-from amplitude"
         )
     refuse_missing_split(dataset, split)
+    refuse_scenes_not_shown(dataset, split, scenes)
     shards = open_shards(dataset, progress=progress)
     refuse_other_images(predictor.config, shards, run, dataset)
+    refuse_scenes_without_render(shards, dataset, scenes)
     readout = predictor.config.readout
     if mask_from is not None:
         readout = replace(readout, mask_from=mask_from)
@@ -85,8 +98,9 @@ def evaluate(
         clouds = folder / "pointclouds"
         clouds.mkdir()
         report = judge_split(bench, split, clouds)
-        shown = shown_scenes(bench, report)
-        write_page(folder, report, shown, run, predictor.config, _origin(bench, run))
+        shown = shown_scenes(bench, choose(report.ranked))
+        figured = shown_scenes(bench, choose_for_figures(report.ranked, scenes))
+        write_page(folder, report, shown, figured, run, predictor.config, _origin(bench, run))
         write_files(folder, report, _origin(bench, run))
         refuse_other_contents(out)  # which may have got other files meanwhile
     return report

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
 from itof import DepthMap, join_components, phasor_of_return
@@ -16,14 +17,20 @@ from model.data.rows import RowBlock
 from model.data.shards import Shards
 from model.network.metrics import summarise
 from model.network.readout import Readout
-from model.prediction.pointclouds import object_points, write_point_cloud
+from model.prediction.pointclouds import (
+    TRUTH_COLOUR,
+    distance_colours,
+    distances_m,
+    object_points,
+    write_point_cloud,
+)
 from model.prediction.predictor import BATCH, Predictor
 from model.report.calibration import SWEEP, Calibration, ThresholdCurve, ThresholdSweep, reread
 from model.report.groups import group_tables
 from model.report.refusals import EvaluationError
 from model.report.results import Report
 from model.report.scene_result import SceneResult, judge_scene
-from model.report.showcase import ShownScene, choose
+from model.report.showcase import ShownScene
 from scenegen import Dataset, Split
 from scenegen.progress import showing_progress
 
@@ -85,8 +92,9 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
             truth_m, mask = block.radial_depth_m[index], block.mask[index]
             prediction = predictions[index]
             results.append(judge_scene(bench.dataset.scene(scene), prediction, truth_m, mask))
-            views = {"gt": (truth_m, mask), "pred": (prediction.radial_depth_m, prediction.mask)}
-            _write_clouds(clouds, scene, views, bench.fov_deg)
+            points_gt_m = object_points(truth_m, mask, bench.fov_deg)
+            points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, bench.fov_deg)
+            _write_clouds(clouds, scene, points_gt_m, points_pred_m)
     if not results:
         raise EvaluationError(
             f"no scene of the {split} split of {bench.dataset.root} could be rendered: "
@@ -114,11 +122,11 @@ def _calibration(bench: Bench, judged: ThresholdCurve) -> Calibration:
     return Calibration(bench.predictor.config.readout, bench.readout, judged, validation)
 
 
-def shown_scenes(bench: Bench, report: Report) -> list[ShownScene]:
-    """The best, the median and the worst scene by accuracy, predicted again."""
+def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> list[ShownScene]:
+    """Scenes by rank, predicted again."""
     rows = {scene.id: row for row, scene in enumerate(bench.shards.manifest.scenes)}
     shown = []
-    for rank, result in choose(report.ranked).items():
+    for rank, result in chosen.items():
         block = bench.shards.read([rows[result.scene]])
         prediction = bench.predict(block)[0]
         truth_m, mask = block.radial_depth_m[0], block.mask[0] > 0
@@ -144,15 +152,16 @@ def _true_phasor(bench: Bench, block: RowBlock) -> NDArray[np.complexfloating]:
 
 
 def _write_clouds(
-    folder: Path,
-    scene: str,
-    views: Mapping[str, tuple[NDArray[np.float32], NDArray[np.uint8] | NDArray[np.bool_]]],
-    fov_deg: float,
+    folder: Path, scene: str, points_gt_m: NDArray[np.float32], points_pred_m: NDArray[np.float32]
 ) -> None:
-    """Write a point cloud for each view of a scene (radial depth and mask) that shows an object."""
-    for name, (radial_depth_m, mask) in views.items():
-        points_m = object_points(radial_depth_m, mask, fov_deg)
+    """Write the (n, 3) points of truth and prediction, if there are any, in the colours of the report."""
+    distance_m = distances_m(points_pred_m, points_gt_m)
+    views = {
+        "gt": (points_gt_m, (255 * np.array(to_rgba(TRUTH_COLOUR))).round().astype(np.uint8)),
+        "pred": (points_pred_m, distance_colours(distance_m)),
+    }
+    for name, (points_m, colours) in views.items():
         if len(points_m):
-            write_point_cloud(folder / f"{scene}_{name}.ply", points_m)
+            write_point_cloud(folder / f"{scene}_{name}.ply", points_m, colours)
         else:
             _log.info("scene %s shows no object (%s): no point cloud", scene, name)

@@ -19,9 +19,9 @@ from plotly.offline import get_plotlyjs
 from model.prediction.figures import write_figure
 from model.report.calibration import Calibration
 from model.report.chart_png import chart_figure
-from model.report.charts import calibration_curves, distributions, training_curves
+from model.report.charts import calibration_curves, distributions, roundness_chart, training_curves
 from model.report.report_files import GROUP_HEAD, SUMMARY_HEAD, group_texts, summary_rows
-from model.report.report_scenes import pictures, point_clouds
+from model.report.report_scenes import cloud_colours, clouds_picture, pictures, point_clouds, scenes_picture
 from model.report.results import PAPER, Report
 from model.report.showcase import ShownScene
 from model.run_folder.history import read_history
@@ -41,6 +41,7 @@ def write_page(
     out: Path,
     report: Report,
     shown: Sequence[ShownScene],
+    figured: Sequence[ShownScene],
     run: Path,
     config: RunConfig,
     origin: Mapping[str, Any],
@@ -49,13 +50,15 @@ def write_page(
 
     Parameters
     ----------
-    shown : the scenes to show as pictures and as point clouds.
+    shown : the scenes to show one by one, as pictures and as point clouds.
+    figured : the scenes to show in the figures of several scenes.
     origin : what was judged on what, as plain data.
     """
     figures = out / "figures"
     figures.mkdir()
     charts = {
         "distributions": distributions(report),
+        "roundness": (roundness_chart(report),),
         "thresholds": calibration_curves(report.calibration),
         "training": training_curves(read_history(run)),
     }
@@ -76,7 +79,10 @@ def write_page(
         summary=summary_rows(report),
         paper=PAPER["source"],
         pictures=pictures(report, shown, figures),
+        scenes_picture=scenes_picture(figured, figures),
         clouds=point_clouds(shown),
+        clouds_picture=clouds_picture(figured, figures),
+        cloud_colours=cloud_colours(),
         charts=charts,
         chart_data={chart.name: chart.as_data() for chart in every_chart},
         group_head=GROUP_HEAD,
@@ -171,7 +177,9 @@ def _configuration(config: RunConfig, origin: Mapping[str, Any], report: Report)
     run = {name: value for name, value in content.items() if name not in tables}
     judged = {
         **origin,
-        "trained_on_these_data": config.data_sha256 == origin["data_sha256"],
+        "trained_on_these_data": config.data_sha256 == origin["data_sha256"]
+        if config.settings.ground_truth == "geometry"
+        else "not compared: the ground truth of the training was the simulated one",
         "split": report.split,
         "mask_from": report.calibration.judged_readout.mask_from,
         "mask_threshold": report.calibration.judged_threshold,

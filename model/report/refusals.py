@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from model.data.shards import Shards
 from model.report.report_files import files_of_report
 from model.run_folder.run_config import RunConfig
+from model.settings import MaskSource
 from scenegen import Dataset, NightError, Split
 from scenegen.files.own_files import refuse_other_files
+
+MOST_FIGURE_SCENES = 20  # a taller figure is of no use on paper or screen
 
 
 class EvaluationError(NightError):
@@ -20,6 +24,16 @@ def refuse_other_contents(out: Path) -> None:
     refuse_other_files(out, files_of_report, "report", EvaluationError)
 
 
+def refuse_amplitude_of_depth(
+    trained: RunConfig, mask_from: MaskSource | None, mask_threshold: float | None
+) -> None:
+    """Refuse masks of the amplitude from a network that predicts depth, which has none."""
+    if trained.settings.target == "depth" and (mask_from == "amplitude" or mask_threshold is not None):
+        raise EvaluationError(
+            "the network predicts depth and no amplitude: leave --mask-from and --mask-threshold out"
+        )
+
+
 def refuse_missing_split(dataset: Dataset, split: Split) -> None:
     """Refuse a split without scenes."""
     if not dataset.ids(split):
@@ -28,6 +42,32 @@ def refuse_missing_split(dataset: Dataset, split: Split) -> None:
             f"{dataset.root} has no {split} split: its {len(dataset.ids())} scenes are "
             f"{' and '.join(present)}; choose another split or make more scenes"
         )
+
+
+def refuse_scenes_not_shown(dataset: Dataset, split: Split, scenes: Sequence[str]) -> None:
+    """Refuse scenes for the figures that the dataset lacks or another split has, or too many of them."""
+    for scene in scenes:
+        entry = dataset.entry(scene)
+        if entry.split != split:
+            raise EvaluationError(
+                f"scene {scene} is a {entry.split} scene, and the report is about the {split} split: choose "
+                f"another scene, or judge by the {entry.split} split"
+            )
+    if len(set(scenes)) > MOST_FIGURE_SCENES:
+        raise EvaluationError(
+            f"a figure shows at most {MOST_FIGURE_SCENES} scenes, and {len(set(scenes))} are named"
+        )
+
+
+def refuse_scenes_without_render(shards: Shards, dataset: Dataset, scenes: Sequence[str]) -> None:
+    """Refuse scenes for the figures that could not be rendered."""
+    rendered = {scene.id for scene in shards.manifest.scenes}
+    for scene in scenes:
+        if scene not in rendered:
+            raise EvaluationError(
+                f"scene {scene} of {dataset.root} could not be rendered, so it cannot be shown: "
+                "see night-render status"
+            )
 
 
 def refuse_other_images(trained: RunConfig, shards: Shards, run: Path, dataset: Dataset) -> None:

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from model.network.metrics import Statistics
 from model.report.calibration import Calibration
 from model.report.groups import Group
 from model.report.results import PAPER, Report, scene_numbers
@@ -75,6 +76,10 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         "run_mask_threshold": report.calibration.run_threshold,
         "prediction": asdict(report.prediction),
         "no_object": asdict(report.no_object),
+        "object_distance_m": _plain(report.object_distance_m),
+        "relative_mae": {who: _plain(each) for who, each in report.relative_mae.items()},
+        "roundness": {who: _plain(each) for who, each in report.roundness.items()},
+        "accuracy_histogram": asdict(report.accuracy_histogram),
         "paper": PAPER,
         "groups": {table.key: [asdict(group) for group in table.groups] for table in report.groups},
         "calibration": _calibration(report.calibration),
@@ -119,6 +124,10 @@ def group_texts(group: Group) -> tuple[str, ...]:
         f"{group.miou:.3f}",
         f"{100 * group.no_object_mae_m:.2f}",
     )
+
+
+def _plain(statistics: Statistics | None) -> dict[str, Any] | None:
+    return None if statistics is None else asdict(statistics)
 
 
 def _calibration(calibration: Calibration) -> dict[str, Any]:

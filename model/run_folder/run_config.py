@@ -20,7 +20,7 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.network.wall_view import WallView
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
-from model.settings import MAY_CHANGE_ON_RESUME, TrainSettings
+from model.settings import MAY_CHANGE_ON_RESUME, NETWORK_SETTINGS, READOUT_SETTINGS, TrainSettings
 from scenegen import NightError, PathLike, whole_file
 from scenegen.contract import STRICT, Positive, checked
 
@@ -31,6 +31,7 @@ _MARK: Final = ',\n  "sha256": "'
 _END: Final = '"\n}\n'
 _MOST_BYTES: Final = 2**20
 _REPAIR: Final = "take the file from a copy of the run, or train again"
+_LATER: Final = ("freeze", "target", "min_delta", "ground_truth")
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -38,6 +39,22 @@ Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 class RunError(NightError):
     """The run folder is missing, damaged, in use, or not a run of this schema version."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class StartingWeights:
+    """The trained network whose weights a run started from.
+
+    Attributes
+    ----------
+    run : name of its run folder, for people: the folder may be elsewhere by now, or gone.
+    run_id : id of that run; None if it was of schema 2.
+    sha256 : SHA-256 of its ``best.safetensors``.
+    """
+
+    run: Annotated[str, Field(max_length=255)]
+    run_id: Sha256 | None
+    sha256: Sha256
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -57,6 +74,7 @@ class RunConfig:
     run_id : `run_id_of` the run when it began, which weights and checkpoint repeat; None in schema 2.
     background_per_object : background pixels per object pixel of the training scenes, a constant of the loss;
         None if `settings.balance` does not need it.
+    started_from : the network that the training started from; None if from random weights.
 
     Raises
     ------
@@ -75,6 +93,7 @@ class RunConfig:
     run_id: Sha256 | None = None
     schema_version: Literal[2, 3] = RUN_SCHEMA
     background_per_object: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
+    started_from: Annotated[StartingWeights | None, Field(exclude_if=lambda value: value is None)] = None
 
     def __post_init__(self) -> None:
         if self.settings.balance == "dataset" and self.background_per_object is None:
@@ -86,24 +105,34 @@ class RunConfig:
         settings = self.settings
         return Readout(
             *(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone),
-            mask_from=settings.mask_from,
+            mask_from="depth" if settings.target == "depth" else settings.mask_from,
             mask_depth_m=settings.mask_depth_m,
+            target=settings.target,
         )
 
     def network(self, generator: torch.Generator | None = None) -> UNet:
         """A network of this run's architecture with initial weights."""
-        return UNet(self.inputs.channel_count, self.settings.width, generator=generator)
+        return UNet(
+            self.inputs.channel_count,
+            self.settings.width,
+            output_channels=self.readout.output_channels,
+            generator=generator,
+        )
 
 
 def run_id_of(config: RunConfig) -> str:
     """SHA-256 of all that decides the weights and cannot change when the run is resumed.
 
-    Two runs with the same settings on the same data have the same id; their weights are interchangeable.
+    Two runs with the same settings on the same data have the same id; their weights are interchangeable. A
+    setting in `_LATER` counts only with another value than its default, so that earlier ids stay as they are.
     """
     content = TypeAdapter(RunConfig).dump_python(config, mode="json")
     for name in ("night_version", "run_id", "schema_version"):
         del content[name]
-    for name in _may_change(config.settings):
+    if config.started_from:
+        content["started_from"] = config.started_from.sha256
+    unchanged = {name for name in _LATER if getattr(config.settings, name) == getattr(TrainSettings, name)}
+    for name in _may_change(config.settings) | unchanged:
         del content["settings"][name]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -173,6 +202,20 @@ def run_settings(folder: PathLike) -> dict[str, Any]:
     """
     settings: dict[str, Any] = TypeAdapter(TrainSettings).dump_python(read_config(Path(folder)).settings)
     return settings
+
+
+def fine_tuning_settings(folder: PathLike) -> dict[str, Any]:
+    """The settings that a training takes over if it starts from the weights of this run, as plain data.
+
+    They are its network and input, which must stay, and its readout, which may be changed.
+
+    Raises
+    ------
+    RunError : as in `read_config`.
+    """
+    config = read_config(Path(folder))
+    settings = {name: getattr(config.settings, name) for name in (*NETWORK_SETTINGS, *READOUT_SETTINGS)}
+    return settings | {"frequencies_hz": config.inputs.frequencies_hz}
 
 
 def changed_setting(before: RunConfig, now: RunConfig) -> str | None:

@@ -35,8 +35,12 @@ def save_weights(folder: Path, weights: Mapping[str, Tensor], run_id: str) -> No
         partial.write_bytes(content)
 
 
-def load_weights(folder: Path, network: UNet, config: RunConfig) -> None:
+def load_weights(folder: Path, network: UNet, config: RunConfig) -> bytes:
     """Load ``best.safetensors`` of the run that `config` describes into `network`.
+
+    Returns
+    -------
+    The content of the file.
 
     Raises
     ------
@@ -63,6 +67,7 @@ def load_weights(folder: Path, network: UNet, config: RunConfig) -> None:
     except Exception as error:  # whatever a library says of a file that somebody else made
         raise RunError(f"{file} is no safetensors file ({error}): {_AGAIN}") from None
     fill(network, weights, file)
+    return content
 
 
 def refuse_other_label(content: bytes, file: Path, config: RunConfig, again: str) -> None:

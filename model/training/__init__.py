@@ -1,6 +1,6 @@
 """Training: `loop` runs the epochs, `epoch` and `step` are their parts, `state` is saved and resumed.
 
-Also the optimiser, the checkpoint file, several processes, TensorBoard, interruption by signals, and the
-checks that refuse a training. May import `model.data`, `model.network`, the run folder, the device and the
-settings; neither `model.prediction` nor `model.report`.
+Also fine-tuning, the optimiser, the checkpoint file, several processes, TensorBoard, interruption by signals,
+and the checks that refuse a training. May import `model.data`, `model.network`, the run folder, the device
+and the settings; neither `model.prediction` nor `model.report`.
 """

@@ -78,7 +78,7 @@ def checked_position(value: Any, batches_an_epoch: int, scenes: int) -> tuple[in
 def checked_adam(
     value: Any, own: Mapping[str, Any], parameters: Sequence[Tensor], steps: int
 ) -> dict[str, Any]:
-    """State of Adam for `parameters`; `own` is the state of one that has not begun."""
+    """State of Adam for `parameters` after `steps` steps; `own` is the state of one that has not begun."""
     found = checked_keys(value, frozenset({"state", "param_groups"}), "adam")
     (group,), (own_group,) = found["param_groups"], own["param_groups"]
     checked_keys(group, own_group, "adam.param_groups")
@@ -87,9 +87,10 @@ def checked_adam(
         if not _is_same(group[name], own_group[name]):
             raise ContentsError(f"adam: {name} is not that of this training")
     moments = found["state"]
-    if not isinstance(moments, dict) or moments.keys() != set(own_group["params"]):
-        raise ContentsError("adam.state must have an entry for each weight")
-    for index, parameter in enumerate(parameters):
+    begun = own_group["params"] if steps else []
+    if not isinstance(moments, dict) or moments.keys() != set(begun):
+        raise ContentsError("adam.state must have an entry for each weight that is trained")
+    for index, parameter in zip(begun, parameters, strict=False):
         like = {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
         entry = checked_tensors(moments[index], like, f"adam.state.{index}", finite=False)
         done = float(entry["step"])

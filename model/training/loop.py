@@ -30,6 +30,7 @@ from model.run_folder.run_config import (
 from model.settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from model.training.epoch import save_if_due, train_epoch, validate
+from model.training.fine_tuning import Start, read_start, refuse_lost_start
 from model.training.interruption import Interruption
 from model.training.lock import only_training
 from model.training.log import TrainingLog
@@ -41,6 +42,7 @@ from model.training.refusals import (
     naming_memory,
     refuse_empty_splits,
     refuse_start,
+    refuse_untrained_layers,
 )
 from model.training.state import TrainingState
 from scenegen import Dataset, PathLike, remove_leftovers
@@ -72,6 +74,7 @@ def train(
     settings: TrainSettings,
     *,
     resume: bool = False,
+    start_from: PathLike | None = None,
     memory_bytes: int | None = None,
 ) -> TrainingResult:
     """Train a network on a dataset's training scenes and write the run folder `out`.
@@ -87,6 +90,9 @@ def train(
         the interruption: to the bit on the CPU, with the same number of threads and processes. Only
         `max_epochs` (if the learning rate does not depend on it), `device`, `progress`, `compile` and
         `checkpoint_minutes` may differ from the settings of the run.
+    start_from : run folder of a trained network, whose best weights the training starts from (fine-tuning).
+        `settings` must have its network and input (`fine_tuning_settings`); the constants of its input
+        channels are kept. A resumed run no longer needs this folder.
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
         (`model.data.order`). A resumed run keeps the windows of its start.
@@ -95,7 +101,8 @@ def train(
     ------
     TrainingError : there are no training or validation scenes; memory is too small; a loss is not finite or
         too large.
-    RunError : `out` is in use, or it cannot be resumed with these settings.
+    RunError : `out` is in use, or it cannot be resumed with these settings; `start_from` is damaged, has
+        another network or input, or is given with `resume`.
     DeviceError : the device does not exist.
     ShardError, ImageFileError : renders are missing or unusable.
     """
@@ -103,8 +110,12 @@ def train(
         out = Path(out)
         check = functools.partial(refuse_start, dataset, out, resume)
         check()  # before the lock, which is a file in `out`
+        if resume and start_from is not None:
+            raise RunError(f"{out} goes on from its own weights: leave out resume or start_from")
+        refuse_untrained_layers(settings, is_trained=resume or start_from is not None)
+        start = read_start(Path(start_from), settings) if start_from is not None else None
         with only_training(out, processes, check):
-            return _train(dataset, out, settings, processes, resume, memory_bytes)
+            return _train(dataset, out, settings, processes, resume, start, memory_bytes)
 
 
 def _train(
@@ -113,6 +124,7 @@ def _train(
     settings: TrainSettings,
     processes: Processes,
     resume: bool,
+    start: Start | None,
     memory_bytes: int | None,
 ) -> TrainingResult:
     """`train` in one of its processes, under the lock."""
@@ -120,17 +132,21 @@ def _train(
     if processes.is_first:
         remove_leftovers(out)
     with processes.first_one_first():
-        shards = open_shards(dataset, progress=settings.progress and processes.is_first)
+        shown = settings.progress and processes.is_first
+        shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
     refuse_empty_splits(shards, dataset)
-    config = _configure(dataset, shards, settings, before)
+    config = _configure(dataset, shards, settings, before, start)
     change = changed_setting(before, config) if before else None
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
     with naming_memory(config), naming_compiler():
-        state = TrainingState(config, shards, processes, memory_bytes)
+        weights = start.weights if start else None
+        state = TrainingState(config, shards, processes, memory_bytes, weights)
         checkpoint = load_checkpoint(out, before, state.weights_bytes) if before else None
         if checkpoint:
             state.restore(checkpoint, out / CHECKPOINT_FILE)
+        elif before:
+            refuse_lost_start(before, out / CHECKPOINT_FILE)
         if checkpoint and before and before.schema_version < RUN_SCHEMA:
             state.save(out)  # before run.json: beside one of schema 2, files of both versions are accepted
         if processes.is_first:
@@ -139,22 +155,25 @@ def _train(
                 state.save_results(out)
             with naming_disk(out / CONFIG_FILE, "start again"):
                 write_config(out, config)
+        if start:
+            state.save(out)  # from now on --resume needs no other run
         return _run(state, out)
 
 
 def _configure(
-    dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None
+    dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None, start: Start | None
 ) -> RunConfig:
     """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
     manifest, rows = shards.manifest, shards.rows("train")
     try:
-        inputs = (
-            before.inputs
-            if before
-            else fit_input_spec(
+        if before:
+            inputs = before.inputs
+        elif start:
+            inputs = start.inputs(dataset, manifest.frequencies_hz)
+        else:
+            inputs = fit_input_spec(
                 *(settings.channels, shards, rows, settings.frequencies_hz, settings.amplitude_divisor)
             )
-        )
         ratio = before.background_per_object if before else None
         if settings.balance == "dataset" and ratio is None:
             ratio = background_per_object(shards, rows)
@@ -171,6 +190,7 @@ def _configure(
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
         background_per_object=ratio if settings.balance == "dataset" else None,
+        started_from=before.started_from if before else start.origin if start else None,
     )
     return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))
 

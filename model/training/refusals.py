@@ -10,6 +10,7 @@ from pathlib import Path
 from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
+from model.settings import TrainSettings
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset, NightError, is_partial
 
@@ -40,6 +41,15 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
                 f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
                 "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
             )
+
+
+def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> None:
+    """`TrainingError` if layers are frozen that nothing has trained."""
+    if settings.freeze != "none" and not is_trained:
+        raise TrainingError(
+            f"freeze {settings.freeze} keeps layers of a trained run, but this training begins with random "
+            "weights: give a run with --from, or leave freeze out"
+        )
 
 
 def refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:

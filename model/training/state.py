@@ -25,6 +25,7 @@ from model.training.checkpoint_contents import (
     checked_tensors,
     checked_whole,
 )
+from model.training.optimisation import epochs_without_improvement
 from model.training.processes import Processes, processes_of_this_machine
 from model.training.refusals import TrainingError, naming_disk
 from model.training.step import TrainingStep
@@ -46,10 +47,19 @@ class TrainingState:
     batches_done : batches of the current epoch that are done.
     loss_total : sum of the losses of this process's scenes in the current epoch.
     saved_at : time of the last checkpoint on the monotonic clock, seconds.
+
+    Parameters
+    ----------
+    weights : weights to start from; None for random ones.
     """
 
     def __init__(
-        self, config: RunConfig, shards: Shards, processes: Processes, memory_bytes: int | None
+        self,
+        config: RunConfig,
+        shards: Shards,
+        processes: Processes,
+        memory_bytes: int | None,
+        weights: Mapping[str, Tensor] | None = None,
     ) -> None:
         settings, device = config.settings, processes.device
         self.config, self.settings, self.shards, self.processes = config, settings, shards, processes
@@ -58,7 +68,7 @@ class TrainingState:
         self.maker = BatchMaker.for_shards(config.inputs, frequencies_hz, shards.reference, device)
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
         steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
-        self.step = TrainingStep(config, self.maker, processes, steps)
+        self.step = TrainingStep(config, self.maker, processes, steps, weights)
         self.optimisation = self.step.optimisation
         self.history: list[EpochRecord] = []
         self.best_weights: dict[str, Tensor] = {}
@@ -83,8 +93,10 @@ class TrainingState:
         return sum(weight.nbytes for weight in self.step.network.state_dict().values())
 
     def out_of_patience(self) -> bool:
-        """Whether the validation loss did not improve for `patience` epochs."""
-        return bool(self.history) and len(self.history) - self.best.epoch >= self.settings.patience
+        """Whether the validation loss did not improve by more than `min_delta` for `patience` epochs."""
+        losses = [record.validation_loss for record in self.history]
+        waited = epochs_without_improvement(losses, self.settings.min_delta)
+        return bool(self.history) and waited >= self.settings.patience
 
     def finish_epoch(self, record: EpochRecord) -> None:
         """Add an epoch to the history and start the next one."""

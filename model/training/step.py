@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
@@ -30,16 +30,26 @@ class TrainingStep:
     Parameters
     ----------
     steps_per_epoch : number of steps in an epoch, for the learning rate schedule.
+    weights : weights to start from; None for random ones.
     """
 
     def __init__(
-        self, config: RunConfig, maker: BatchMaker, processes: Processes, steps_per_epoch: int
+        self,
+        config: RunConfig,
+        maker: BatchMaker,
+        processes: Processes,
+        steps_per_epoch: int,
+        weights: Mapping[str, Tensor] | None = None,
     ) -> None:
         settings, device = config.settings, processes.device
         self.maker, self.augmentation = maker, Augmentation.of(settings)
         self._device_type, self._number_type = device.type, number_type(settings.precision, device)
         self._order = torch.channels_last if settings.channels_last else torch.contiguous_format
-        network = config.network(torch.Generator().manual_seed(settings.seed)).to(device)
+        network = config.network(torch.Generator().manual_seed(settings.seed))
+        if weights is not None:
+            network.load_state_dict(dict(weights))
+        network.freeze(settings.freeze)
+        network = network.to(device)
         self.network = network.to(memory_format=self._order)  # type: ignore[call-overload]
         parallel = processes.parallel(self.network)
         self._trained = torch.compile(parallel) if settings.compile else parallel
@@ -63,6 +73,6 @@ class TrainingStep:
         return self.loss(output, batch.target, batch.radial_depth_m, batch.mask)
 
     def output(self, batch: Batch, network: Callable[[Tensor], Tensor]) -> Tensor:
-        """(N, 2, H, W) float32 output of `network`; its convolutions use the run's number type."""
+        """(N, C, H, W) float32 output of `network`; its convolutions use the run's number type."""
         with torch.autocast(self._device_type, self._number_type, enabled=self._number_type != torch.float32):
             return network(batch.channels.contiguous(memory_format=self._order))

@@ -137,5 +137,4 @@ def _image_bytes(dataset: Dataset, settings: RenderSettings, layout: TransientLa
 
 
 def _transient_bytes(settings: RenderSettings, layout: TransientLayout) -> int:
-    bin_count = layout.width * layout.height * layout.bin_count
-    return int(settings.options.transient_fill * _FLOAT_BYTES * len(TRANSIENT_FILES) * bin_count)
+    return int(settings.options.transient_fill * len(TRANSIENT_FILES) * layout.raw_bytes)

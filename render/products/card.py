@@ -157,8 +157,9 @@ def _making(dataset: Dataset) -> str:
     else:
         made += [(f"preset key `{key}`", f"`{value}`") for key, value in changes.items()]
     return (
-        f"{_table(('', ''), made)}\n\nPreset keys that are not listed here have the value of the paper; "
-        "`dataset.json` has all keys."
+        f"{_table(('', ''), made)}\n\nPreset keys that are not listed here have the value of the preset "
+        "`paper`: that of the paper's text where it gives one, else of the authors' released code, else "
+        "NIGHT's own. `dataset.json` has all keys."
     )
 
 

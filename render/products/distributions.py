@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAPER_BACKGROUND_RATIO = 30.2  # background pixels per object pixel (training log of the released code)
+RELEASED_BACKGROUND_RATIO = 30.2  # background pixels per object pixel in the released code's training log
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 _BINS = 20
 _COLOURS = {"train": "#4477aa", "validation": "#ccbb44", "test": "#ee6677"}
@@ -121,12 +121,12 @@ def distributions_figure(found: Distributions, preset: Preset) -> Figure:
 
 
 def ratio_sentence(found: Distributions) -> str:
-    """The ratio of background to object pixels, with that of the paper, as text."""
+    """The ratio of background to object pixels, with that of the authors' released code, as text."""
     if not found.object_pixels:
         return "no scene is rendered yet"
     ratio = found.background_ratio
     said = "no object pixel" if ratio is None else f"background/object {ratio:.1f}"
-    return f"{said} (paper: {PAPER_BACKGROUND_RATIO})"
+    return f"{said} (released code: {RELEASED_BACKGROUND_RATIO})"
 
 
 def _histogram(

@@ -192,7 +192,8 @@ class ManyLightExposure:
 
     @cached_property
     def _direct(self) -> DirectImage:
-        return gather_direct(self.scene, self._grid, self.view.frequencies_hz, self.view.seed)
+        view = self.view
+        return gather_direct(self.scene, self._grid, view.frequencies_hz, view.seed, view.all_is_direct)
 
     @property
     def _grid(self) -> Grid:

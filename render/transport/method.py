@@ -26,6 +26,8 @@ class View:
     max_bounces : most surfaces that light may meet.
     seed : of the random numbers; equal seeds give equal results on the same device.
     accept_lost_light : whether transients may lack light that arrives outside the time axis.
+    all_is_direct : whether the direct return is the whole signal, as in the mirrored scene. Then its errors
+        count relative to it. Otherwise, they count relative to the hidden part that a scene would have.
     """
 
     layout: TransientLayout
@@ -33,6 +35,7 @@ class View:
     max_bounces: int
     seed: int
     accept_lost_light: bool = False
+    all_is_direct: bool = False
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ import night_nlos
 import render.farm.clusters
 import render.farm.run
 import render.farm.status
+import render.products.dataset_export
 import render.products.movie
 import render.products.preview
 import render.products.verification

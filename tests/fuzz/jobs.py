@@ -65,7 +65,11 @@ DROP = Job(
     *(("data/renders",), ("data/renders/000000", "data/renders/rendering.json")),
     whole=False,
 )
-FOUR = (GEN, TRAIN, JUDGE, PREDICT)
+EXPORT = Job(
+    *("night-render export", "night-render export closed --out new.h5"),
+    *(("new.h5", "closed/.hashes.json"), ("new.h5",)),
+)
+FIVE = (GEN, TRAIN, JUDGE, PREDICT, EXPORT)
 
 
 class Stage:

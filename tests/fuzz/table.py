@@ -35,6 +35,10 @@ VERIFY = Reader(
 LOAD = Reader("load-scene data 000000", named=("scenes/000000",))
 TO_ITOF = Reader("night-render convert data --only 000000 --out new --to itof", named=("scene 000000",))
 TO_TAL = Reader("night-render convert data --only 000000 --out new --to tal", named=("scene 000000",))
+EXPORT = Reader(
+    *("night-render export closed --out new.h5", ("new.h5", "closed/.hashes.json"), ("new.h5",)),
+    named=("closed", "000000"),
+)
 MOVIE = Reader("night-render movie data 000000 --out new.gif", ("new.gif",), named=("scene 000000",))
 GENERATE = Reader("night-gen scenes new --preset {file} --count 1")
 REPAIR = Reader("night-gen scenes made_ply --preset ply.toml", ("made_ply",), named=("made_ply",))
@@ -69,6 +73,7 @@ DATASETS = (
             ("verify", "data", VERIFY, 0.2),
             ("convert", "data", TO_ITOF, 0.2),
             ("train", "closed", TRAIN, 0.1),
+            ("export", "closed", EXPORT, 0.2),
             ("scenes", "made_ply", REPAIR, 0.1),
         )
     ),
@@ -96,6 +101,9 @@ RENDERS = (
     Kind("rendered itof.exr", f"{RENDER}/itof.exr", EXR, VERIFY, 0.2, vouched=True),
     Kind("rendered transient.exr", f"{RENDER}/transient.exr", EXR, TO_ITOF, 0.2, vouched=True),
     Kind("itof.exr to train on", "closed/renders/000000/itof.exr", EXR, TRAIN, 0.2),
+    Kind("itof.exr to export", "closed/renders/000000/itof.exr", EXR, EXPORT, 0.2),
+    Kind("mirrored.exr to export", "closed/renders/000000/mirrored.exr", EXR, EXPORT, 0.2),
+    Kind("scene.json to export", "closed/scenes/000000/scene.json", JSON, EXPORT, 0.2, vouched=True),
     *(
         Kind(f"forged {file}, {use}", f"{RENDER}/{file}", EXR, reader, share, forge=forging.render(file))
         for file, use, reader, share in (

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jobs import GEN, JUDGE, PREDICT, RENDER, TO_ITOF, TO_TAL, TRAIN, Stage
+from jobs import EXPORT, GEN, JUDGE, PREDICT, RENDER, TO_ITOF, TO_TAL, TRAIN, Stage
 from small_disk import small_disk
 
 pytestmark = pytest.mark.long
-PLACES = {GEN: 6, RENDER: 6, TRAIN: 8, JUDGE: 3, PREDICT: 7, TO_ITOF: 5, TO_TAL: 5}  # 40 in all
+PLACES = {GEN: 6, RENDER: 6, TRAIN: 8, JUDGE: 3, PREDICT: 7, TO_ITOF: 5, TO_TAL: 5, EXPORT: 5}  # 45 in all
 ROOM = 500_000_000  # bytes; enough for everything
 PAGE = 4096
 

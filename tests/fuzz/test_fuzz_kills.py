@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from conftest import FIRST_SEED, KILLS
-from jobs import FOUR, Stage
+from jobs import FIVE, Stage
 
 pytestmark = pytest.mark.long
 
 
-@pytest.mark.parametrize("job", FOUR, ids=lambda job: job.name)
+@pytest.mark.parametrize("job", FIVE, ids=lambda job: job.name)
 def test_a_killed_command_loses_nothing(forks, samples, tmp_path, job, tell):
     stage = Stage(forks, tmp_path / "arena", samples, job)
     rng = np.random.default_rng(FIRST_SEED)

@@ -5,11 +5,11 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from jobs import DROP, FOUR, GEN, JUDGE, PREDICT, TO_ITOF, TO_TAL, TRAIN, Stage
+from jobs import DROP, EXPORT, FIVE, GEN, JUDGE, PREDICT, TO_ITOF, TO_TAL, TRAIN, Stage
 from surroundings import ClosedStreams, LargestFile, few_open_files, home_is_gone, no_home, permissions_count
 
 pytestmark = pytest.mark.long
-PLACES = {GEN: 6, TRAIN: 9, JUDGE: 3, PREDICT: 8, TO_ITOF: 7, TO_TAL: 7}  # 40 in all
+PLACES = {GEN: 6, TRAIN: 9, JUDGE: 3, PREDICT: 8, TO_ITOF: 7, TO_TAL: 7, EXPORT: 5}  # 45 in all
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_a_file_that_must_not_grow_ends_a_command_with_one_sentence(stages, job)
     assert 2 in {code for _, code in found.values()}
 
 
-@pytest.mark.parametrize("job", FOUR, ids=lambda job: job.name)
+@pytest.mark.parametrize("job", FIVE, ids=lambda job: job.name)
 @pytest.mark.parametrize(
     "before", [few_open_files, no_home, home_is_gone], ids=lambda before: before.__name__
 )
@@ -41,7 +41,7 @@ def test_a_command_needs_neither_many_files_nor_a_home(stages, job, before):
     assert stages(job).run_in(before) == (None, 0)
 
 
-@pytest.mark.parametrize("job", FOUR, ids=lambda job: job.name)
+@pytest.mark.parametrize("job", FIVE, ids=lambda job: job.name)
 @pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)], ids=str)
 def test_a_command_whose_streams_are_closed_does_its_work(stages, job, closed):
     assert stages(job).run_in(ClosedStreams(closed)) == (None, 0)
@@ -66,8 +66,23 @@ def read_only(folder):
         give_back()
 
 
-WRITTEN = [(GEN, "made_ply"), (DROP, "data"), (TRAIN, "."), (JUDGE, "."), (PREDICT, "."), (TO_TAL, ".")]
-READ = [(PREDICT, "run"), (JUDGE, "run"), (JUDGE, "closed"), (TRAIN, "closed"), (TO_ITOF, "data")]
+WRITTEN = [
+    (GEN, "made_ply"),
+    (DROP, "data"),
+    (TRAIN, "."),
+    (JUDGE, "."),
+    (PREDICT, "."),
+    (TO_TAL, "."),
+    (EXPORT, "."),
+]
+READ = [
+    (PREDICT, "run"),
+    (JUDGE, "run"),
+    (JUDGE, "closed"),
+    (TRAIN, "closed"),
+    (TO_ITOF, "data"),
+    (EXPORT, "closed"),
+]
 
 
 @pytest.mark.parametrize(("job", "folder"), WRITTEN, ids=lambda value: getattr(value, "name", value))

@@ -17,7 +17,8 @@ from render.transport.film.pixels import Grid, gauss_rule, midpoint_rule
 # Cells of a pixel: 4 x 4 first, and 512 x 512 along an edge. A straight edge then has 800 smallest cells, of
 # which each area is known to about a tenth: 800^(1/2) x 0.1 / 512² = 1e-5 of the pixel. Each of these cells
 # has its 3 x 3 nodes elsewhere. An edge along the cells would otherwise have the same error in all of them.
-_FIRST_CELLS, _DIVISIONS = 4, 7
+# Where the direct return is the whole signal, 64 x 64 cells suffice: 100^(1/2) x 0.1 / 64² = 2e-4 of a pixel.
+_FIRST_CELLS, FINE_DIVISIONS, COARSE_DIVISIONS = 4, 7, 4
 _GAUSS_SIZE = 1 / 8  # of a pixel: cells from this size on take 2 x 2 nodes, smaller ones their middle
 _NINE = np.stack(np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]), axis=-1).reshape(9, 2)  # x, y
 _TURNS = np.sqrt([[2.0, 3.0], [5.0, 7.0]])  # multiples modulo 1 are spread evenly along every line of cells
@@ -48,6 +49,7 @@ def divide_pixels(
     grid: Grid,
     candidates: NDArray[np.int64],
     surfaces: Callable[[NDArray[np.float64]], NDArray[np.uint32]],
+    divisions: int = FINE_DIVISIONS,
 ) -> EdgePixels:
     """Divide those of the candidate pixels that see several surfaces.
 
@@ -55,6 +57,7 @@ def divide_pixels(
     ----------
     candidates : row-major indices.
     surfaces : (N, 2) film positions -> (N,) number of the surface that is seen there.
+    divisions : how often cells with an edge are divided into four.
     """
     size = (grid.width, grid.height)
     corner = np.stack([candidates % grid.width, candidates // grid.width], axis=-1).astype(float)
@@ -62,7 +65,7 @@ def divide_pixels(
     cells = (corner[:, None] + offsets).reshape(-1, 2)  # corners of the cells, in pixels
     owner = np.repeat(candidates, len(offsets))
     length, found, crossed = 1 / _FIRST_CELLS, [], []
-    for division in range(_DIVISIONS + 1):
+    for division in range(divisions + 1):
         if not len(cells):
             break
         nine = (cells[:, None] + length * _NINE) / size
@@ -71,7 +74,7 @@ def divide_pixels(
         if division == 0:
             crossed = owner[cut]
         found.append(_middle(cells[~cut], owner[~cut], length))
-        if division == _DIVISIONS:
+        if division == divisions:
             found.append(_shifted(cells[cut], owner[cut], length))
         cells = (cells[cut][:, None] + length * _QUARTERS).reshape(-1, 2)
         owner, length = np.repeat(owner[cut], 4), length / 2

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from render.transport.kernels.time_bins import TimeAxis
 
 # Nodes of the direct return, in the width of the image, and their limits in a pixel: closer than time bins.
-_DIRECT_NODES, _FEWEST_NODES, _MOST_NODES = 2560, 8, 64
+_DIRECT_NODES, _FEWEST_NODES, _MOST_NODES = 1280, 8, 32
 _MOST_PACKETS = 64  # for the arrivals of each light,
 _ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each
 _MOST_LOST = 1e-4  # of the hidden energy

@@ -1,0 +1,95 @@
+"""Starting a training from the weights of another run."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import Tensor
+
+from model.device import plain_memory_errors
+from model.network.channels import InputSpec
+from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
+from model.run_folder.weights import load_weights
+from model.settings import NETWORK_SETTINGS, TrainSettings
+from scenegen import Dataset
+
+
+@dataclass(frozen=True)
+class Start:
+    """A trained network that a training starts from.
+
+    Attributes
+    ----------
+    config : contents of its ``run.json``.
+    weights : its best weights, on the CPU.
+    origin : what the new run records about it.
+    """
+
+    config: RunConfig
+    weights: dict[str, Tensor]
+    origin: StartingWeights
+
+    def inputs(self, dataset: Dataset, frequencies_hz: Sequence[float]) -> InputSpec:
+        """The input channels with the constants of the trained network, whose weights expect them.
+
+        Parameters
+        ----------
+        frequencies_hz : modulation frequencies of `dataset`, Hz; the output of the network must be at the
+            first of them.
+
+        Raises
+        ------
+        RunError : the network predicts at another frequency.
+        ChannelError : the dataset lacks a frequency of the network.
+        """
+        self.config.inputs.places(frequencies_hz)
+        ours, first = self.config.output_frequency_hz, frequencies_hz[0]
+        if ours != first:
+            raise RunError(
+                f"{self.origin.run} predicts at {ours / 1e6:g} MHz, and the first frequency of "
+                f"{dataset.root} is {first / 1e6:g} MHz: render the dataset at the frequencies of that run"
+            )
+        return self.config.inputs
+
+
+def read_start(run: Path, settings: TrainSettings) -> Start:
+    """The network of the run folder `run`, whose files are checked as for a prediction.
+
+    Raises
+    ------
+    RunError : the run is damaged, has no weights, or has another network or input than `settings`.
+    """
+    config = read_config(run)
+    _refuse_other_network(config, settings, run)
+    with plain_memory_errors():
+        network = config.network()
+        content = load_weights(run, network, config)
+    name = run.resolve().name[:255]
+    origin = StartingWeights(run=name, run_id=config.run_id, sha256=hashlib.sha256(content).hexdigest())
+    return Start(config, dict(network.state_dict()), origin)
+
+
+def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path) -> None:
+    """`RunError` if the settings contradict the network or the input of a run."""
+    for name in NETWORK_SETTINGS:
+        theirs, ours = getattr(config.settings, name), getattr(settings, name)
+        if name == "frequencies_hz":
+            theirs = config.inputs.frequencies_hz
+            ours = theirs if ours is None else ours
+        if ours != theirs:
+            raise RunError(
+                f"{name} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "
+                "leave the setting out, or train from the start"
+            )
+
+
+def refuse_lost_start(config: RunConfig, checkpoint: Path) -> None:
+    """`RunError` for a resumed run without checkpoint whose first weights were those of another run."""
+    if config.started_from:
+        raise RunError(
+            f"{checkpoint} is missing, which held the weights of {config.started_from.run} that this run "
+            "started from: begin a new run with --from"
+        )
