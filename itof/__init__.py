@@ -12,7 +12,7 @@ from itof.depth_map import DEPTH_CHANNEL, MASK_CHANNEL, DepthMap
 from itof.direct import direct_phasors
 from itof.exr import Image, phasor_channels, pixel_types, read_image, write_image
 from itof.exr_header import ImageFileError
-from itof.exr_library import compress_with_threads
+from itof.exr_library import compressing_with_threads
 from itof.exr_transient import MOST_WRITTEN_BYTES, TransientLayout, TransientReader, TransientWriter
 from itof.light import (
     SPEED_OF_LIGHT,
@@ -46,7 +46,7 @@ __all__ = [
     "TransientWriter",
     "amplitude",
     "combined_range_m",
-    "compress_with_threads",
+    "compressing_with_threads",
     "depth_from_phase",
     "direct_phasors",
     "highest_frequency_hz",

@@ -31,12 +31,18 @@ _ERRORS_OF_WRITING = (
 _MOST_UNWRITTEN = 2**16  # bytes that OpenEXR writes only when it closes a file, and more
 
 
-def compress_with_threads(count: int) -> None:
-    """Compress EXR files with `count` threads from now on; the files do not depend on it.
+@contextmanager
+def compressing_with_threads(count: int) -> Iterator[None]:
+    """Compress EXR files with `count` threads of OpenEXR inside; the files do not depend on it.
 
-    OpenEXR starts with none of its own and compresses in the thread that writes.
+    Outside, OpenEXR has no threads and compresses in the thread that writes. A process that is forked while
+    OpenEXR has threads gets none of them and waits for them for ever when it opens an EXR file.
     """
     OpenEXR.set_global_thread_count(count if count > 1 else 0)
+    try:
+        yield
+    finally:
+        OpenEXR.set_global_thread_count(0)
 
 
 class ExrOutput:

@@ -16,7 +16,7 @@ from itof import (
     MeasurementMatrix,
     Splat,
     TransientWriter,
-    compress_with_threads,
+    compressing_with_threads,
     phasor_channels,
     write_image,
 )
@@ -87,7 +87,6 @@ class Renderer:
             splat=_SPLAT,
         )
         self.variant = select_variant(settings.device)
-        compress_with_threads(drjit_threads())
         self._libraries = ThreadpoolController()  # which finds numpy's and scipy's linear algebra
         make = METHODS[settings.method]
         self._method = make(settings.options, self.variant)
@@ -108,7 +107,10 @@ class Renderer:
         """
         source = self._read(scene_id)
         # Matrix products round differently on one thread and on two: files must not depend on the workers.
-        with self._libraries.limit(limits=1, user_api="blas"):
+        with (
+            self._libraries.limit(limits=1, user_api="blas"),
+            compressing_with_threads(drjit_threads()),
+        ):
             return self._render(source)
 
     def _render(self, source: _Source) -> RenderRecord:
