@@ -16,7 +16,6 @@ from pathlib import Path
 from statistics import mean, stdev
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.data.feed import Feed
 from model.data.shards import Shards, open_shards
@@ -103,18 +102,14 @@ def own_keys(row: Row) -> dict[str, object]:
     return keys
 
 
-def judged(
-    predictor: Predictor,
-    shards: Shards,
-    rows: Sequence[int],
-    reference: NDArray[np.complexfloating] | None = None,
-) -> Summary:
-    """Metrics of scenes; `reference` (H, W, F) replaces the direct return of the wall that the run knows."""
+def judged(predictor: Predictor, shards: Shards, rows: Sequence[int], offset_rad: float = 0.0) -> Summary:
+    """Metrics of scenes whose phasors are turned by `offset_rad`, with signs that alternate by frequency."""
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
+    turn = np.exp(1j * offset_rad * (-1.0) ** np.arange(len(places)))  # (F,)
     feed = Feed(shards, rows, window_rows=0)
     metrics = []
     for block in feed.in_order(BATCH):
-        found = predictor.predict(block.complex_phasors()[..., places], reference)
+        found = predictor.predict(block.complex_phasors()[..., places] * turn)
         images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
         metrics += [image_metrics(*image) for image in images]
     return summarise(metrics)

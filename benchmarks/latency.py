@@ -85,7 +85,8 @@ def untrained(preset: str, width: int, height: int, device: str) -> Predictor:
     settings = model.settings_from_dict(*model.training_preset(preset))
     frequencies_hz = settings.frequencies_hz or FREQUENCIES_HZ
     residuals = 2 * len(frequencies_hz) - 1 if "residual" in settings.channels else 0
-    inputs = InputSpec(settings.channels, frequencies_hz, 1.0, (1e-3,) * residuals, "measured")
+    scales = (1e-3,) * residuals
+    inputs = InputSpec(settings.channels, frequencies_hz, 1.0, scales, "measured", settings.reference)
     config = RunConfig(
         *(settings, inputs, frequencies_hz[0], VIEW, width, height, "", "", ""),
         background_per_object=30.0,

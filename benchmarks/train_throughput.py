@@ -137,7 +137,8 @@ def our_step(config: RunConfig, block: RowBlock, device: torch.device) -> Callab
     """A step of the real training, with rows on the device."""
     size = (config.image_width, config.image_height)
     reference = config.geometry.direct_phasors(*size, FREQUENCIES_HZ)
-    maker = BatchMaker.for_shards(config.inputs, FREQUENCIES_HZ, reference, device)
+    wall = config.geometry.expected_wall(reference, FREQUENCIES_HZ)
+    maker = BatchMaker.for_shards(config.inputs, FREQUENCIES_HZ, wall, device)
     rows, step = maker.upload(block), TrainingStep(config, maker, Processes(device), steps_per_epoch=100)
     generator = torch.Generator().manual_seed(0)
 

@@ -1,6 +1,7 @@
-"""Effect of a wrong position of the relay wall: metrics for several errors in mm.
+"""Effect of a wall that is not where the run has it, and of phases that drifted: metrics for several errors.
 
-The measurement stays the same. The wall of the computed direct return is moved along its normal. Run:
+The measurements stay the same. The wall that the run knows is moved along its normal and turned about the
+vertical; the phases of all frequencies are changed, with alternating signs. Run:
 
     .venv/bin/python benchmarks/wall_error.py myrun mydata
 """
@@ -17,31 +18,37 @@ from model.network.wall_view import WallView
 from model.prediction.predictor import load
 from scenegen import open_dataset
 
+SMALL = [(mm, 0.0, 0.0) for mm in (0, 0.1, 0.2, 0.5, 1, 2, 5, 10)]
+ERRORS = [*SMALL, (0.0, 0.5, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 5.0), (10.0, 1.0, 5.0)]  # mm, degrees, mrad
+
 
 def main() -> None:
-    """Evaluate a run on the test split with each error of the wall."""
+    """Evaluate a run on the test split with each error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--scenes", type=int, default=400, help="test scenes, default 400")
-    parser.add_argument("--errors-mm", type=float, nargs="+", default=[0, 0.1, 0.2, 0.5, 1, 2, 5])
     given = parser.parse_args()
     predictor, shards = load(given.run), open_shards(open_dataset(given.dataset))
-    config, rows = predictor.config, shards.rows("test")[: given.scenes]
-    size = (config.image_width, config.image_height)
-    print(f"{len(rows)} test scenes\n\n| wall off by | MAE cm | mIoU |\n|---|---|---|")
-    for error_mm in given.errors_mm:
-        view = moved_wall(config.geometry, error_mm / 1000)
-        reference = view.direct_phasors(*size, config.inputs.frequencies_hz)
-        summary = judged(predictor, shards, rows, reference)
+    rows = shards.rows("test")[: given.scenes]
+    print(f"{len(rows)} test scenes\n")
+    print("| wall off by | turned by | phases off by | MAE cm | mIoU |\n|---|---|---|---|---|")
+    for error_mm, turn_deg, offset_mrad in ERRORS:
+        view = moved_wall(predictor.config.geometry, error_mm / 1000, turn_deg)
+        moved = replace(predictor, config=replace(predictor.config, geometry=view))
+        summary = judged(moved, shards, rows, offset_mrad / 1000)
         mae_cm, miou = 100 * summary.depth_mae_m.mean, summary.miou.mean
-        print(f"| {error_mm:g} mm | {mae_cm:.2f} | {miou:.3f} |", flush=True)
+        cells = f"{error_mm:g} mm | {turn_deg:g} degrees | {offset_mrad:g} mrad"
+        print(f"| {cells} | {mae_cm:.2f} | {miou:.3f} |", flush=True)
 
 
-def moved_wall(view: WallView, error_m: float) -> WallView:
-    """The view with the wall moved by `error_m` against its normal, away from the room."""
-    point_m = np.array(view.wall_point_m) - error_m * np.array(view.wall_normal)
-    return replace(view, wall_point_m=tuple(point_m.tolist()))
+def moved_wall(view: WallView, error_m: float, turn_deg: float) -> WallView:
+    """The view with the wall moved by `error_m` away from the room, and turned about the vertical."""
+    normal = np.array(view.wall_normal)
+    point_m = np.array(view.wall_point_m) - error_m * normal
+    cosine, sine = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    return replace(view, wall_point_m=tuple(point_m.tolist()), wall_normal=tuple((turn @ normal).tolist()))
 
 
 if __name__ == "__main__":

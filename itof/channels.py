@@ -91,7 +91,8 @@ def residual_channels(phasor: Any, reference: Any, weights: SubpixelWeights = "m
     ----------
     phasor : (..., H, W, F) complex.
     reference : (H, W, F) complex, the direct return up to a positive factor: from
-        `itof.direct_phasors`, or a capture without a hidden object.
+        `itof.direct_phasors`, or a capture without a hidden object. Or (..., H, W, F), one for each image:
+        see `itof.wall.self_calibration`.
     weights : ``measured``: the reference is weighted by the amplitudes of `phasor`; ``uniform``: it is used
         as it is.
 
@@ -178,7 +179,7 @@ def _image_axes_last(xp: ModuleType, parts: list[Any]) -> Any:
 
 
 def _check_reference(reference: tuple[int, ...], phasor: tuple[int, ...]) -> None:
-    if tuple(reference) != tuple(phasor[-3:]):
+    if tuple(reference) not in (tuple(phasor[-3:]), tuple(phasor)):
         raise ValueError(
             f"reference of shape {tuple(reference)} does not fit phasors of shape {tuple(phasor)}"
         )

@@ -49,8 +49,8 @@ def weighted_reference(reference: Any, amplitude: Any) -> Any:
     brightness = quotient(xp, xp.asarray(amplitude), xp.abs(reference[..., 0]))  # (..., H, W)
     change = xp.zeros_like(reference)
     for axis in (-1, -2):
-        along = _log_slope(xp, brightness, axis, _EDGE)[..., None]  # (..., H, W, 1)
-        change = change + along * _log_slope(xp, reference, axis - 1)  # (..., H, W, F)
+        along = log_slope(xp, brightness, axis, _EDGE)[..., None]  # (..., H, W, 1)
+        change = change + along * log_slope(xp, reference, axis - 1)  # (..., H, W, F)
     return reference * (1 + change / 12)
 
 
@@ -67,7 +67,7 @@ def check_weights(weights: str) -> None:
         raise ValueError(f"subpixel weights are {' or '.join(get_args(SubpixelWeights))}, got {weights!r}")
 
 
-def _log_slope(xp: ModuleType, values: Any, axis: int, largest_ratio: float | None = None) -> Any:
+def log_slope(xp: ModuleType, values: Any, axis: int, largest_ratio: float | None = None) -> Any:
     """Gradient of log(values) along an axis, per pixel; 0 where no neighbour can be compared.
 
     Neighbours are compared if both are not 0 and their ratio is at most `largest_ratio`. All differences are

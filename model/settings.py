@@ -16,10 +16,11 @@ from scenegen.contract import STRICT, Positive, WholeCount, checked
 Channels = Literal["paper", "residual", "paper+residual"]
 CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
 AmplitudeDivisor = Literal["mean", "maximum"]
-LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz"]
-LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou", "mae+lovasz")
+Reference = Literal["geometry", "capture", "self"]
+LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth"]
+LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth")
 Balance = Literal["image", "dataset", "class-means"]
-Target = Literal["components", "depth"]
+Target = Literal["components", "depth", "mask+depth"]
 GroundTruth = Literal["geometry", "simulated"]
 LossTarget = Literal["components", "depth"]
 LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
@@ -33,7 +34,7 @@ Schedule = Literal["constant", "cosine"]
 SCHEDULES: tuple[Schedule, ...] = ("constant", "cosine")
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
 # A run that starts from the weights of another one has its network and input, and by default its readout.
-NETWORK_SETTINGS = ("channels", "amplitude_divisor", "frequencies_hz", "width", "target")
+NETWORK_SETTINGS = ("channels", "reference", "amplitude_divisor", "frequencies_hz", "width", "target")
 READOUT_SETTINGS = ("mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -50,18 +51,23 @@ class TrainSettings:
     """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
     """Network input. With paper alone the network learns little (docs/design.md)."""
+    reference: Reference = "geometry"
+    """Direct return in the residual channels: computed from camera and wall, or a capture of the empty corner
+    that predictions then need, or moved to the wall and phases that each measurement shows (self)."""
     amplitude_divisor: AmplitudeDivisor = "mean"
     """The amplitude channel is divided by this amplitude of the training scenes; the paper: to [0, 1]."""
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
     """Channels of the U-Net's first level."""
     target: Target = "components"
-    """What the network predicts: Re and Im of the mirrored scene, or its depth in metres directly. With
-    depth, error and mask are those of the depth, whatever loss_on and mask_from say."""
+    """What the network predicts: Re and Im of the mirrored scene, its depth in metres directly, or the
+    probability and the depth of an object pixel. With depth, error and mask are those of the depth, whatever
+    loss_on and mask_from say. mask+depth goes with the loss bce+iou+depth."""
     ground_truth: GroundTruth = "geometry"
     """Truth from the shape of the mirrored object, or from the simulator's transient of the mirrored scene,
     as in the paper; simulated needs transients."""
     loss: LossName = "mae+iou"
-    """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou or lovasz)."""
+    """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou or lovasz). For
+    target mask+depth: cross entropy and overlap of the mask, and error of the depth (bce+iou+depth)."""
     loss_on: LossTarget = "components"
     """What the error is taken on: Re and Im of the output, or the depth in metres."""
     alpha: NotNegative = 1 / 7
@@ -125,6 +131,8 @@ class TrainSettings:
     """Seed of the weights, of the order of scenes and of the augmentation."""
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU if there is one."""
+    average_flip: bool = False
+    """Predict every image and its mirror image top to bottom, and average both outputs."""
     progress: bool = True
     """Show the progress on stderr: a bar in a terminal, a line now and then elsewhere."""
 
@@ -133,6 +141,11 @@ class TrainSettings:
             raise ValueError("frequencies_hz must ascend, each once")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
+        if (self.target == "mask+depth") != (self.loss == "bce+iou+depth"):
+            raise ValueError(
+                f"target {self.target} does not go with loss {self.loss}: target mask+depth and loss "
+                "bce+iou+depth go together"
+            )
 
 
 def training_fields() -> dict[str, FieldInfo]:

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from itof import direct_phasors, network_channels, phase_per_metre, residual_channels, split_components
+from itof.wall.expected_wall import ExpectedWall
 from model.data.augmentation import Augmentation, Draws, Warp
 from model.data.batches import Batch, BatchMaker
 from model.data.rows import RowBlock
@@ -54,7 +55,8 @@ def measured_rows(count: int = 5) -> tuple[RowBlock, BatchMaker, np.ndarray, np.
     opl_m = rng.uniform(6, 9, (count, HEIGHT, WIDTH, 1))
     phasor = direct + 2e-3 * np.abs(direct) * np.exp(1j * opl_m * phase_per_metre(FREQUENCIES_HZ))
     spec = InputSpec("paper+residual", FREQUENCIES_HZ, 0.3, (1e-3, 2e-3, 3e-3), "measured")
-    maker = BatchMaker.for_shards(spec, FREQUENCIES_HZ, direct, torch.device("cpu"))
+    wall = ExpectedWall.of_camera(direct, FREQUENCIES_HZ, *args[2:3], *args[4:])
+    maker = BatchMaker.for_shards(spec, FREQUENCIES_HZ, wall, torch.device("cpu"))
     truth = batch_of(count)
     components = np.moveaxis(split_components(phasor), -1, 1).astype(np.float32)
     rows = RowBlock(

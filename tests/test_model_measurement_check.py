@@ -10,7 +10,7 @@ from night_commands import night_here, refusal
 from wall_measurements import DEFECTS, farther, noise
 
 import model
-from model.prediction.measurement_check import MOST_REFUSED, check_measured, expected_wall
+from model.prediction.measurement_check import MOST_REFUSED, check_measured
 from model.prediction.measurement_files import Measurement
 from model.prediction.prediction_files import predict_file
 from model.prediction.predictor import load
@@ -25,7 +25,7 @@ def predictor(seeing_run):
 
 @pytest.fixture(scope="module")
 def wall(predictor):
-    return expected_wall(predictor)
+    return predictor.wall
 
 
 def checked(predictor, phasors, reference=None, **options):
@@ -72,7 +72,7 @@ def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, w
     record = record_of(tmp_path / "out")
     assert [(each["code"], each["refused"]) for each in record["findings"]] == [("wall-moved", False)]
     assert record["images"][0]["wall"]["distance_shift_m"] == pytest.approx(0.003, abs=5e-4)
-    assert (record["schema_version"], record["ignored"]) == (2, [])
+    assert (record["schema_version"], record["ignored"]) == (3, [])
 
     arrays = {"phasors": phasors[0], "reference": wall.direct, "ref": phasors[1], "note": np.array("mine")}
     done = night_here("night-eval", "predict", seeing_run, write_npz(tmp_path / "b.npz", **arrays), *out)

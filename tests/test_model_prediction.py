@@ -56,7 +56,7 @@ def test_where_no_pixel_shows_an_object_there_is_no_point_cloud(finished_copy, e
     blind(finished_copy)
     (image,) = predict(finished_copy, exr, tmp_path / "out").images
     assert image.sentence == "image 000000: no pixel shows an object, so it has no point cloud"
-    assert image.files == ("000000.exr", "000000.png")
+    assert image.files == ("000000.exr", "000000.png", "000000_wall.png")
     assert not list((tmp_path / "out").glob("*.ply"))
 
 
@@ -138,7 +138,7 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
 ):
     predict(seeing_run, write_npz(tmp_path / "two.npz", phasors=phasors[:2]), tmp_path / "out")
     predict(seeing_run, exr, tmp_path / "out")
-    assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000000", "prediction"}
+    assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000000", "000000_wall", "prediction"}
     figure = (tmp_path / "out" / "000000.png").read_bytes()
     (tmp_path / "out" / "000000.png").write_bytes(figure + b"mine")
     with pytest.raises(PredictionError, match=r"an earlier prediction: 000000\.png \(changed\); move"):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import ArrayLike, NDArray
 
+from itof.direct import direct_phasors
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 
@@ -20,6 +22,8 @@ _FARTHEST_M = 1e9  # whose square is far from overflow
 class ExpectedWall:
     """Relay wall and camera as they should be, in camera axes (x right, y down, z forward).
 
+    Its arrays are of numpy; `converted` makes them those of another library.
+
     Attributes
     ----------
     frequencies_hz : F modulation frequencies, Hz.
@@ -29,9 +33,9 @@ class ExpectedWall:
     """
 
     frequencies_hz: tuple[float, ...]
-    direct: NDArray[np.complexfloating[Any, Any]]
-    rays: NDArray[np.float64]
-    plane_per_m: NDArray[np.float64]
+    direct: Any
+    rays: Any
+    plane_per_m: Any
 
     @classmethod
     def of_camera(
@@ -59,13 +63,44 @@ class ExpectedWall:
         rays = pixel_rays(width, height, horizontal_fov_deg)
         return cls(tuple(frequencies_hz), direct, rays, plane_per_m)
 
+    @classmethod
+    def of_plane(
+        cls,
+        plane_per_m: ArrayLike,
+        width: int,
+        height: int,
+        frequencies_hz: Sequence[float],
+        horizontal_fov_deg: float,
+    ) -> ExpectedWall:
+        """The wall in the plane m (3,), 1/m in camera axes, with its computed return.
+
+        Raises
+        ------
+        ValueError : the plane is not finite, or at infinity (m = 0).
+        """
+        plane = np.asarray(plane_per_m, dtype=np.float64)
+        square = float(plane @ plane)
+        if not (np.isfinite(square) and square > 0):
+            raise ValueError(
+                f"{plane.tolist()} is no plane: expected three finite numbers that are not all 0"
+            )
+        camera = (np.eye(3), np.zeros(3))
+        size = (width, height, horizontal_fov_deg)
+        direct = direct_phasors(*size, frequencies_hz, *camera, plane / square, plane)
+        return cls(tuple(frequencies_hz), direct, pixel_rays(*size), plane)
+
+    def converted(self, convert: Callable[[Any], Any]) -> ExpectedWall:
+        """The same with the arrays that `convert` makes of its arrays, for another library or device."""
+        arrays = {name: convert(getattr(self, name)) for name in ("direct", "rays", "plane_per_m")}
+        return replace(self, **arrays)
+
     def at(self, places: Sequence[int]) -> ExpectedWall:
         """The wall at some of the frequencies, given by their indices."""
         frequencies_hz = tuple(self.frequencies_hz[place] for place in places)
         return replace(self, frequencies_hz=frequencies_hz, direct=self.direct[..., list(places)])
 
     @cached_property
-    def radial_depth_m(self) -> NDArray[np.float64]:
+    def radial_depth_m(self) -> Any:
         """(H, W) L_0, metres along the ray; infinite where a ray misses the wall."""
         return radial_depth_of_plane(self.rays, self.plane_per_m)
 
@@ -75,8 +110,13 @@ class ExpectedWall:
         return 2 * phase_per_metre(self.frequencies_hz)  # out and back
 
 
-def radial_depth_of_plane(rays: NDArray[np.float64], plane_per_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...) distance of the plane along the rays (..., 3), metres; infinite where a ray misses it."""
-    inverse = rays @ plane_per_m
+def radial_depth_of_plane(rays: Any, plane_per_m: Any) -> Any:
+    """Distance of planes (..., 3) along rays (n, 3) or (H, W, 3), metres; infinite where a ray misses one.
+
+    Arrays of numpy or of another library of the array API. For several planes the result is (..., n), and the
+    rays must be (n, 3).
+    """
+    xp = array_namespace(rays, plane_per_m)
+    inverse = plane_per_m @ xp.matrix_transpose(rays) if plane_per_m.ndim > 1 else rays @ plane_per_m
     ahead = inverse > 1 / _FARTHEST_M
-    return np.where(ahead, 1 / np.where(ahead, inverse, 1.0), np.inf)
+    return xp.where(ahead, 1 / xp.where(ahead, inverse, 1.0), xp.inf)

@@ -26,6 +26,9 @@ from itof.wall.wall_search import found, locate_wall
 
 MISFIT_NOTED_RAD: Final = 4e-3  # 1.6 mm of wall at 60 MHz; bright hidden light looks like 2.7 mrad
 MISFIT_REFUSED_RAD: Final = 12.5e-3  # 5 mm at 60 MHz: predictions are then worse than none (docs/training.md)
+# For a self-calibrated run. Its channels do not depend on the wall's place, but hidden light falls elsewhere.
+CALIBRATED_NOTED_M: Final = 0.02
+CALIBRATED_REFUSED_M: Final = 0.2
 SCATTER_NOTED_RAD: Final = 0.03  # twice that of a valid measurement with 1 % of noise and bright hidden light
 SCATTER_REFUSED_RAD: Final = 0.1  # a hundred times the hidden light of most pixels
 STRANGE_NOTED: Final = 0.01  # share of pixels that do not fit the wall at all
@@ -51,7 +54,11 @@ class Plausibility:
 
 
 def check_measurement(
-    phasor: NDArray[Any], wall: ExpectedWall, reference: NDArray[Any] | None = None
+    phasor: NDArray[Any],
+    wall: ExpectedWall,
+    reference: NDArray[Any] | None = None,
+    *,
+    self_calibrated: bool = False,
 ) -> Plausibility:
     """Compare one measurement with the return of the relay wall.
 
@@ -62,6 +69,8 @@ def check_measurement(
     reference : (H, W, F) measurement of the empty corner that `check_reference` accepts. It may show a wall
         in another place and any phase offsets, since that is what it is for: the wall's place and the
         offsets of the measurement are then compared with it.
+    self_calibrated : whether the channels are made by `itof.wall.self_calibration`. Phase offsets then do not
+        matter, and neither does a small shift of the wall.
 
     Raises
     ------
@@ -69,16 +78,22 @@ def check_measurement(
     """
     phasor = without_unit(phasor, wall)
     reference = None if reference is None else without_unit(reference, wall)
-    findings = _amplitudes_and_conventions(phasor, wall, free_offsets=reference is not None)
+    free_offsets = self_calibrated or reference is not None
+    findings = _amplitudes_and_conventions(phasor, wall, free_offsets=free_offsets)
     if any(finding.refused for finding in findings):
         return Plausibility(findings, None)
-    if reference is not None and mismatch(phasor, replace(wall, direct=reference)) > _OPPOSITE:
+    if (
+        reference is not None
+        and not self_calibrated
+        and mismatch(phasor, replace(wall, direct=reference)) > _OPPOSITE
+    ):
         words = "measurement and reference have opposite signs: multiply one of them by -1?"
         return Plausibility((*findings, Finding("convention", words, True)), None)
     fit = locate_wall(phasor, wall, direct=reference)
     if fit is None or not found(fit):
         return Plausibility((*findings, _no_wall(phasor, wall, reference is not None)), None)
-    place = _place(fit, wall, reference is not None)
+    compared = reference is not None
+    place = _elsewhere(fit, compared) if self_calibrated else _place(fit, wall, compared)
     return Plausibility((*findings, *place, *_scatter(fit, wall)), fit)
 
 
@@ -183,6 +198,17 @@ def _place(fit: WallFit, wall: ExpectedWall, compared: bool) -> Iterator[Finding
     )
     mend = "" if compared else "correct camera and wall, or " if moved else "calibrate the camera, or "
     yield Finding(code, f"{what}: {mend}{capture}", misfit_rad >= MISFIT_REFUSED_RAD)
+
+
+def _elsewhere(fit: WallFit, compared: bool) -> Iterator[Finding]:
+    """A wall that is far from its expected place, for a self-calibrated run."""
+    shift_m = fit.mean_shift_m - _SIGMAS * fit.mean_shift_std_m
+    if shift_m < CALIBRATED_NOTED_M:
+        return
+    place = "the reference" if compared else "the run"
+    words = f"the wall is not where {place} has it, but {describe_shift(fit)}"
+    words += ": the run was trained on another corner"
+    yield Finding("wall-moved", words, shift_m >= CALIBRATED_REFUSED_M)
 
 
 def _scatter(fit: WallFit, wall: ExpectedWall) -> Iterator[Finding]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
 from model.network.channels import InputSpec
 
@@ -40,32 +40,33 @@ class BatchMaker:
     ----------
     inputs : input channels and their constants.
     places : indices of the network's frequencies in those of the shards.
-    reference : (H, W, F) complex64, direct return of the relay wall at the network's frequencies.
+    wall : the relay wall at the network's frequencies, with its direct return in complex64.
     """
 
     inputs: InputSpec
     places: tuple[int, ...]
-    reference: Tensor
+    wall: ExpectedWall
 
     @classmethod
     def for_shards(
         cls,
         inputs: InputSpec,
         frequencies_hz: Sequence[float],
-        reference: NDArray[np.complex128],
+        wall: ExpectedWall,
         device: torch.device,
     ) -> BatchMaker:
-        """The maker for shards with these frequencies, Hz, and this (H, W, F) direct return."""
+        """The maker for shards with these frequencies, Hz, that show this wall (numpy arrays)."""
         places = tuple(inputs.places(frequencies_hz))
-        known = torch.from_numpy(reference[..., places].astype(np.complex64))
-        return cls(inputs, places, known.to(device))
+        seen = wall.at(places)
+        seen = replace(seen, direct=seen.direct.astype(np.complex64))
+        return cls(inputs, places, seen.converted(lambda array: torch.from_numpy(array).to(device)))
 
     def upload(self, block: RowBlock) -> RowBlock:
         """A copy of `block` on the device, as tensors; its phasors are those of the network's frequencies."""
         count = block.phasors.shape[1] // 2
         chosen = [first + place for first in (0, count) for place in self.places]
         arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": block.phasors[:, chosen]}
-        device = self.reference.device
+        device = self.wall.rays.device
         return RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
 
     def measured(self, rows: RowBlock) -> Tensor:
@@ -83,7 +84,7 @@ class BatchMaker:
         """
         measured = self.measured(rows) if phasor is None else phasor
         return Batch(
-            channels=self.inputs.apply(measured, self.reference),
+            channels=self.inputs.apply(measured, self.inputs.reference_for(measured, self.wall)),
             target=rows.target,
             radial_depth_m=rows.radial_depth_m,
             mask=rows.mask.float(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from itof import amplitude, residual_channels
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
 from model.network.channels import ChannelError, InputSpec
-from model.settings import AmplitudeDivisor, Channels
+from model.network.wall_view import WallView
+from model.settings import AmplitudeDivisor, Channels, Reference
 
 
 def fit_input_spec(
@@ -20,6 +22,8 @@ def fit_input_spec(
     rows: Sequence[int],
     frequencies_hz: Sequence[float] | None = None,
     amplitude_divisor: AmplitudeDivisor = "mean",
+    reference: Reference = "geometry",
+    view: WallView | None = None,
 ) -> InputSpec:
     """The input channels, scaled by the training scenes; reads one piece of the shards at a time.
 
@@ -31,6 +35,8 @@ def fit_input_spec(
     amplitude_divisor : the amplitude channel is divided by the mean of the amplitude over all pixels of the
         training scenes, so that its mean is 1, or by its maximum, so that it lies in [0, 1] as in the paper.
         Scenes that are brighter than all training scenes exceed 1.
+    reference : where the direct return of the residual channels comes from.
+    view : camera and relay wall of the shards; only the reference ``self`` needs it.
 
     Raises
     ------
@@ -43,11 +49,11 @@ def fit_input_spec(
         )
     available = shards.manifest.frequencies_hz
     chosen = tuple(frequencies_hz) if frequencies_hz else available
-    unscaled = InputSpec(
-        channels, chosen, 1.0, (1.0,) * (2 * len(chosen) - 1) if "residual" in channels else ()
-    )
+    residuals = 2 * len(chosen) - 1 if "residual" in channels else 0
+    unscaled = InputSpec(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference)
     places = unscaled.places(available)
-    reference = shards.reference[..., places]
+    direct = shards.reference[..., places]
+    wall = view.expected_wall(direct, chosen) if view and unscaled.self_calibrates else None
     amplitudes, brightest, means, squares = [], 0.0, [], []
     for phasor in _phasors(shards, rows):
         first = amplitude(phasor[..., places[0]])  # (H, W)
@@ -55,7 +61,9 @@ def fit_input_spec(
         brightest = max(brightest, float(first.max()))
         if unscaled.uses_residual:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
-                residual = residual_channels(phasor[..., places], reference)  # (2F - 1, H, W)
+                seen = phasor[..., places]
+                known = unscaled.reference_for(seen, wall) if wall else direct
+                residual = residual_channels(seen, known)  # (2F - 1, H, W)
                 residual = residual.astype(np.float64)
                 means.append(residual.mean(axis=(1, 2)))
                 squares.append((residual**2).mean(axis=(1, 2)))
@@ -73,8 +81,13 @@ def fit_input_spec(
         residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
     mean = float(np.mean(amplitudes))
     if amplitude_divisor == "mean":
-        return InputSpec(channels, chosen, mean, residual_scale, "measured")
-    return InputSpec(channels, chosen, brightest, residual_scale, "measured", training_mean_amplitude=mean)
+        return replace(unscaled, amplitude_scale=mean, residual_scale=residual_scale)
+    return replace(
+        unscaled,
+        amplitude_scale=brightest,
+        residual_scale=residual_scale,
+        training_mean_amplitude=mean,
+    )
 
 
 def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:

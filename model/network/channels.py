@@ -11,7 +11,9 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from itof import SubpixelWeights, network_channels, residual_channels
-from model.settings import Channels
+from itof.wall.expected_wall import ExpectedWall
+from itof.wall.self_calibration import calibrate
+from model.settings import Channels, Reference
 from scenegen import NightError
 from scenegen.contract import STRICT, Positive
 
@@ -41,6 +43,7 @@ class InputSpec:
     residual_scale : 2F - 1 standard deviations, dimensionless; empty if `channels` has no residual.
     subpixel_weights : how `itof.residual_channels` weights the paths within a pixel. ``uniform`` in runs of
         version 0.1, whose ``run.json`` has no such key: they see what they were trained with.
+    reference : where the direct return of the residual channels comes from (`reference_for`).
     training_mean_amplitude : mean A_0 of the training scenes; None if `amplitude_scale` is the mean.
 
     Raises
@@ -57,6 +60,7 @@ class InputSpec:
     subpixel_weights: Annotated[SubpixelWeights, Field(exclude_if=lambda value: value == "uniform")] = (
         "uniform"
     )
+    reference: Annotated[Reference, Field(exclude_if=lambda value: value == "geometry")] = "geometry"
     training_mean_amplitude: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
 
     def __post_init__(self) -> None:
@@ -76,6 +80,16 @@ class InputSpec:
     def uses_residual(self) -> bool:
         """Whether `apply` needs the direct return."""
         return "residual" in self.channels
+
+    @property
+    def self_calibrates(self) -> bool:
+        """Whether `reference_for` moves the direct return to the wall that each image shows."""
+        return self.uses_residual and self.reference == "self"
+
+    @property
+    def needs_capture(self) -> bool:
+        """Whether a prediction needs a capture of the empty corner."""
+        return self.uses_residual and self.reference == "capture"
 
     @property
     def channel_count(self) -> int:
@@ -102,6 +116,14 @@ class InputSpec:
             raise ChannelError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
+    def reference_for(self, phasor: Any, wall: ExpectedWall) -> Any:
+        """The direct return that `apply` needs for these phasors (..., H, W, F).
+
+        That of the wall, (H, W, F); with the reference ``self`` it is moved to the wall and the phases that
+        each image shows (`itof.wall.self_calibration`), (..., H, W, F).
+        """
+        return calibrate(phasor, wall).direct if self.self_calibrates else wall.direct
+
     def apply(self, phasor: Any, reference: Any = None) -> Any:
         """Input channels (..., C, H, W) of phasors (..., H, W, F).
 
@@ -109,7 +131,8 @@ class InputSpec:
         ----------
         phasor : (..., H, W, F) complex at `frequencies_hz`, from numpy, torch or another library of the
             array API. The channels are an array of the same library on the same device.
-        reference : (H, W, F) complex direct return of the relay wall; only the residual channels need it.
+        reference : (H, W, F) complex direct return of the relay wall, or (..., H, W, F), one for each image,
+            as `reference_for` gives it; only the residual channels need it.
 
         Raises
         ------

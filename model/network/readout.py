@@ -90,7 +90,7 @@ class Readout:
             phase = self.radial_depth_m(output.detach()) / self.metres_per_radian  # (N, H, W)
             return torch.stack([phase.cos(), phase.sin()], dim=1) * self.mask(output.detach())[:, None]
         zeroed = torch.where(output.abs() < self.dead_zone, 0.0, output)
-        return _straight_through(zeroed, output)
+        return straight_through(zeroed, output)
 
     def mask(self, output: Tensor) -> Tensor:
         """(N, H, W) float mask, 0 or 1, with a straight-through gradient.
@@ -106,7 +106,7 @@ class Readout:
         if self.mask_from == "depth":
             return self._mask_of_depth(self._depth_everywhere_m(output))
         hard = (self.components(output).norm(dim=1) >= self.mask_threshold).to(output.dtype)  # (N, H, W)
-        return _straight_through(hard, self.presence(output))
+        return straight_through(hard, self.presence(output))
 
     def presence(self, output: Tensor) -> Tensor:
         """(N, H, W) amplitude of the output, clipped to [0, 1]: 1 on the true object, 0 elsewhere.
@@ -126,7 +126,7 @@ class Readout:
         """
         if self.mask_from == "depth":
             depth_m = self._depth_everywhere_m(output)
-            return _straight_through(self._mask_of_depth(depth_m) * depth_m, depth_m)
+            return straight_through(self._mask_of_depth(depth_m) * depth_m, depth_m)
         mask = self.mask(output)  # (N, H, W)
         z = self.components(output)
         # Outside the mask the phase is not differentiated: near amplitude 0 its gradient diverges.
@@ -140,7 +140,7 @@ class Readout:
         if surrogate.requires_grad:
             # Descent raises the depth where the gradient is negative, which only a missed pixel needs.
             surrogate.register_hook(lambda gradient: gradient * ((gradient < 0) == (hard == 0)))
-        return _straight_through(hard, surrogate)
+        return straight_through(hard, surrogate)
 
     def _depth_everywhere_m(self, output: Tensor) -> Tensor:
         """(N, H, W) depth of every pixel, metres, 0 where both components are in the dead zone.
@@ -151,14 +151,14 @@ class Readout:
         """
         if self.target == "depth":
             depth_m = output[:, 0]
-            return _straight_through(torch.where(depth_m < self.dead_zone, 0.0, depth_m), depth_m)
+            return straight_through(torch.where(depth_m < self.dead_zone, 0.0, depth_m), depth_m)
         value = self._depth_of_components_m(self.components(output.detach()))
         positive_real = torch.zeros_like(output)
         positive_real[:, 0] = 1
         along = _direction(output, positive_real)  # (N, 2, H, W)
         across = torch.stack([-along[:, 1], along[:, 0]], dim=1)  # the direction of a growing phase
         amplitude = output.detach().norm(dim=1).clamp_min(LEAST_AMPLITUDE)  # (N, H, W)
-        return _straight_through(value, self.metres_per_radian * (across * output).sum(dim=1) / amplitude)
+        return straight_through(value, self.metres_per_radian * (across * output).sum(dim=1) / amplitude)
 
     def _depth_of_components_m(self, z: Tensor) -> Tensor:
         """(N, H, W) radial depth, metres, of (N, 2, H, W) components."""
@@ -174,6 +174,6 @@ def _direction(output: Tensor, at_zero: Tensor) -> Tensor:
     return torch.where(size > 0, output.detach() / size.clamp_min(1e-30), at_zero)
 
 
-def _straight_through(forward: Tensor, backward: Tensor) -> Tensor:
+def straight_through(forward: Tensor, backward: Tensor) -> Tensor:
     """The value of `forward` with the gradient of `backward`."""
     return forward.detach() + (backward - backward.detach())

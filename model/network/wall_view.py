@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from itof import direct_phasors
+from itof.wall.expected_wall import ExpectedWall
 from scenegen import Dataset, camera_axes, wall_normal
 from scenegen.contract import STRICT, FieldOfView, Vector
 
@@ -41,6 +43,25 @@ class WallView:
             height,
             self.horizontal_fov_deg,
             frequencies_hz,
+            self.camera_axes,
+            self.camera_location_m,
+            self.wall_point_m,
+            self.wall_normal,
+        )
+
+    def expected_wall(
+        self, direct: NDArray[np.complexfloating[Any, Any]], frequencies_hz: Sequence[float]
+    ) -> ExpectedWall:
+        """The wall with its direct return (H, W, F), computed or captured.
+
+        Raises
+        ------
+        ValueError : the camera is in the plane of the wall.
+        """
+        return ExpectedWall.of_camera(
+            direct,
+            frequencies_hz,
+            self.horizontal_fov_deg,
             self.camera_axes,
             self.camera_location_m,
             self.wall_point_m,

@@ -19,7 +19,10 @@ class WallFound:
     mean_shift_std_m : standard deviation of the mean by the scatter of the phases, metres.
     distance_shift_m : change of the wall's distance from the camera, metres; > 0: farther away.
     tilt_deg : angle between both walls, degrees.
-    offsets_rad : (F,) phase offsets; 0 where the plane alone explains the phases.
+    plane_per_m : (3,) the wall's plane m in camera axes (right, down, forward), 1/m: its distance along the
+        ray r is 1 / (m · r).
+    offsets_rad, offsets_std_rad : (F,) phase offsets and their standard deviations; 0 where the plane alone
+        explains the phases.
     residual_rms_rad : (F,) phases that are left, root mean square.
     coherence : (F,) share of the light that fits the wall in phase and amplitude, 0 to 1.
     """
@@ -29,7 +32,9 @@ class WallFound:
     mean_shift_std_m: float
     distance_shift_m: float
     tilt_deg: float
+    plane_per_m: tuple[float, ...]
     offsets_rad: tuple[float, ...]
+    offsets_std_rad: tuple[float, ...]
     residual_rms_rad: tuple[float, ...]
     coherence: tuple[float, ...]
 
@@ -42,7 +47,9 @@ class WallFound:
             mean_shift_std_m=fit.mean_shift_std_m,
             distance_shift_m=fit.distance_shift_m,
             tilt_deg=fit.tilt_deg,
+            plane_per_m=tuple(fit.plane_per_m.tolist()),
             offsets_rad=tuple(fit.offsets_rad.tolist()),
+            offsets_std_rad=tuple(fit.offsets_std_rad.tolist()),
             residual_rms_rad=tuple(fit.residual_rms_rad.tolist()),
             coherence=tuple(fit.coherence.tolist()),
         )

@@ -12,13 +12,11 @@ from typing import Final
 import numpy as np
 
 from itof import amplitude
-from itof.wall.expected_wall import ExpectedWall
 from itof.wall.finding import Finding
 from itof.wall.plausibility import check_measurement, check_reference
 from model.prediction.check_result import FileFinding, MeasurementCheck, WallFound
 from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
-from model.prediction.predictor import Predictor, load
-from model.run_folder.run_config import RunError
+from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
 from model.settings import DeviceName
 from scenegen import PathLike
 from scenegen.progress import showing_progress
@@ -54,6 +52,8 @@ def fitting_measurement(predictor: Predictor, file: Path, run: Path) -> Measurem
             f"{file} holds images of {width}x{height} pixels, {run} was trained on "
             f"{config.image_width}x{config.image_height}: scale the images, or train a run at their size"
         )
+    if measured.reference is None and config.inputs.needs_capture:
+        raise MeasurementError(f"{file} has no array reference, and {run} {NEEDS_CAPTURE}")
     return measured
 
 
@@ -73,7 +73,8 @@ def check_measured(
     rescale : whether the amplitudes will be brought to those of the training scenes.
     thorough : check every image, even if many of them or the reference are refused.
     """
-    wall, names = expected_wall(predictor), [f"{index:06d}" for index in range(len(measured.phasors))]
+    calibrated = predictor.config.inputs.self_calibrates
+    wall, names = predictor.wall, [f"{index:06d}" for index in range(len(measured.phasors))]
     walls: list[WallFound | None] = [None] * len(names)
     found: list[tuple[Finding, str | None]] = []  # with the image's name; None for the reference
     if measured.reference is not None:
@@ -85,35 +86,15 @@ def check_measured(
         for index, name in enumerate(names):
             if useless > most and not thorough:
                 break
-            seen = check_measurement(measured.phasors[index], wall, measured.reference)
+            seen = check_measurement(
+                measured.phasors[index], wall, measured.reference, self_calibrated=calibrated
+            )
             walls[index] = None if seen.wall is None else WallFound.of_fit(seen.wall)
             findings = [*seen.findings, *([] if rescale else _unit(predictor, measured, index))]
             found += [(finding, name) for finding in findings]
             useless += any(finding.refused for finding in findings)
             bar.update()
     return MeasurementCheck(_joined(found), tuple(walls), measured.reference is not None, measured.ignored)
-
-
-def expected_wall(predictor: Predictor) -> ExpectedWall:
-    """The relay wall of a run, where its camera should see it.
-
-    Raises
-    ------
-    RunError : the camera of the run does not see a wall.
-    """
-    config, view = predictor.config, predictor.config.geometry
-    try:
-        return ExpectedWall.of_camera(
-            predictor.reference,
-            config.inputs.frequencies_hz,
-            view.horizontal_fov_deg,
-            view.camera_axes,
-            view.camera_location_m,
-            view.wall_point_m,
-            view.wall_normal,
-        )
-    except ValueError as error:
-        raise RunError(f"the geometry of the run cannot be: {error}") from None
 
 
 def _unit(predictor: Predictor, measured: Measurement, index: int) -> list[Finding]:

@@ -24,7 +24,8 @@ from model.run_folder.run_config import RunConfig
 from scenegen import NightError, PathLike, whole_file
 
 INPUT: Final = "channels"
-OUTPUTS: Final = {"components": "components", "depth": "radial_depth_m"}  # names, by settings.target
+# Names of the output, by settings.target.
+OUTPUTS: Final = {"components": "components", "depth": "radial_depth_m", "mask+depth": "logit_and_depth"}
 METADATA: Final = "night.run"  # key of the metadata; its value is ``run.json``
 NEEDED: Final = ("onnx", "onnxruntime", "onnxscript")
 # Batches of the check: number of images, amplitude of their channels. There are several amplitudes because
@@ -68,8 +69,10 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
 
     The input ``channels`` (N, C, H, W) float32 are those of `InputSpec.apply`. The output ``components``
     (N, 2, H, W) float32 is Re and Im of the mirrored scene; of a network that predicts depth it is
-    ``radial_depth_m`` (N, 1, H, W), metres, before any threshold. N is free, H and W are those of the
-    training. The metadata ``night.run`` contains ``run.json``: channels, their constants, camera and wall.
+    ``radial_depth_m`` (N, 1, H, W), metres, before any threshold, and of one that predicts mask and depth
+    ``logit_and_depth`` (N, 2, H, W), whose depth is standardised by ``object_depth_m``. N is free,
+    H and W are those of the training. The metadata ``night.run`` contains ``run.json``: channels, their
+    constants, camera and wall.
 
     Before the file gets its name, ONNX Runtime computes outputs of smooth random channels with it, and they
     are compared with those of PyTorch.

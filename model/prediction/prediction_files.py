@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -11,19 +11,22 @@ from typing import Any, Final
 import numpy as np
 
 from itof import DepthMap
+from itof.wall.wall_fit import WallFit
+from itof.wall.wall_search import locate_wall
 from model.prediction.check_result import MeasurementCheck, WallFound
 from model.prediction.figures import prediction_figure, write_figure
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.measurement_files import Measurement, MeasurementError
 from model.prediction.pointclouds import object_points, write_point_cloud
 from model.prediction.predictor import BATCH, InputError, Predictor, load
+from model.prediction.wall_figure import wall_figure
 from model.settings import DeviceName
 from scenegen import NightError, PathLike, whole_folder, write_text
 from scenegen.files.own_files import hashes_of, refuse_other_files
 from scenegen.progress import showing_progress
 
-PREDICTION_SCHEMA: Final = 2  # 1 had no `ignored`, `wall`, `findings`
-_KNOWN_SCHEMAS: Final = (1, 2)  # of earlier predictions, which are replaced
+PREDICTION_SCHEMA: Final = 3  # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall
+_KNOWN_SCHEMAS: Final = (1, 2, 3)  # of earlier predictions, which are replaced
 RECORD: Final = "prediction.json"
 
 
@@ -95,6 +98,7 @@ def predict_file(
     ===================  =====================================================================================
     ``000000.exr``       depth map of image 0: ``depth.R``, ``mask.M`` and phasor, as in ``mirrored.exr``
     ``000000.png``       picture of the depth map
+    ``000000_wall.png``  phases that the fit of the relay wall leaves; missing if no wall is found
     ``000000.ply``       point cloud; missing if no pixel shows an object
     ``prediction.json``  run, measurement, findings about it, and files of the prediction
     ===================  =====================================================================================
@@ -173,7 +177,11 @@ def _predict_all(
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
                 wall = check.walls[start + index]
-                images.append(_write(folder, name, predictions[index], wall, predictor, about))
+                image = _write(folder, name, predictions[index], wall, predictor, about)
+                if wall is not None:
+                    fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
+                    image = _with_wall(folder, image, fit, predictor, about)
+                images.append(image)
                 bar.update()
     return tuple(images)
 
@@ -197,6 +205,18 @@ def _write(
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
     return PredictedImage(name, len(points_m), median_m, tuple(files), wall)
+
+
+def _with_wall(
+    folder: Path, image: PredictedImage, fit: WallFit | None, predictor: Predictor, attributes: dict[str, str]
+) -> PredictedImage:
+    """Write the picture of the wall that was found, and add it to the files of the image."""
+    if fit is None:
+        return image
+    file, title = f"{image.name}_wall.png", f"{attributes['measurement']}, image {image.name}"
+    figure = wall_figure(title, fit, predictor.config.inputs.frequencies_hz)
+    write_figure(folder / file, figure)
+    return replace(image, files=(*image.files, file))
 
 
 def _refuse_other_contents(out: Path) -> None:

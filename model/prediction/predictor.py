@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from itof import DepthMap, amplitude, join_components
+from itof.wall.expected_wall import ExpectedWall
 from model.device import choose_device, plain_memory_errors
 from model.network.readout import Readout
 from model.network.unet import UNet
@@ -20,6 +21,7 @@ from model.run_folder.weights import load_weights
 from model.settings import DeviceName
 from scenegen import NightError, PathLike
 
+NEEDS_CAPTURE = "was trained for a capture of the empty corner: give one as reference"
 BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB
 
 
@@ -42,6 +44,19 @@ class Predictor:
         size = (config.image_width, config.image_height)
         return config.geometry.direct_phasors(*size, config.inputs.frequencies_hz).astype(np.complex64)
 
+    @cached_property
+    def wall(self) -> ExpectedWall:
+        """The relay wall of the run, where its camera should see it.
+
+        Raises
+        ------
+        RunError : the camera of the run does not see a wall.
+        """
+        try:
+            return self.config.geometry.expected_wall(self.reference, self.config.inputs.frequencies_hz)
+        except ValueError as error:
+            raise RunError(f"the geometry of the run cannot be: {error}") from None
+
     def predict(
         self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
     ) -> DepthMap:
@@ -52,7 +67,8 @@ class Predictor:
         phasors : (H, W, F) or (N, H, W, F) complex at the frequencies `config.inputs.frequencies_hz`, in this
             order. H and W are those of the training.
         reference : (H, W, F) complex measurement of the empty corner, up to a real factor; None for the
-            direct return that is computed from the camera and the relay wall of the run.
+            direct return that is computed from the camera and the relay wall of the run. A run with the
+            setting ``reference = "capture"`` needs it.
         rescale : multiply each image so that its mean amplitude at the first frequency is the mean of the
             training scenes. Use it if the phasors have another unit than the training scenes.
 
@@ -63,8 +79,8 @@ class Predictor:
 
         Raises
         ------
-        InputError : shape or number of frequencies differ from the training, a value is not finite, or an
-            image without light is to be rescaled.
+        InputError : the run needs a measured reference, shape or number of frequencies differ from the
+            training, a value is not finite, or an image without light is to be rescaled.
         RunError : the output of the network is not finite.
         """
         z = np.asarray(phasors)
@@ -100,8 +116,11 @@ class Predictor:
 
     def _known(self, reference: ArrayLike | None) -> NDArray[np.generic] | None:
         """The reference to use; None if the channels need none, so that it is not computed."""
+        inputs = self.config.inputs
         if reference is None:
-            return self.reference if self.config.inputs.uses_residual else None
+            if inputs.needs_capture:
+                raise InputError(f"the run {NEEDS_CAPTURE}")
+            return self.reference if inputs.uses_residual else None
         known = np.asarray(reference)
         if known.shape != self._image_shape:
             raise InputError(f"expected a reference of shape {self._image_shape}, got {known.shape}")
@@ -112,7 +131,10 @@ class Predictor:
         self, images: NDArray[np.generic], reference: NDArray[np.generic] | None
     ) -> NDArray[np.float32]:
         with np.errstate(over="ignore"):  # the check below finds overflows
-            channels = self.config.inputs.apply(images, reference)  # (N, C, H, W)
+            inputs, known = self.config.inputs, reference
+            if known is not None and inputs.uses_residual:
+                known = inputs.reference_for(images, replace(self.wall, direct=known))
+            channels = inputs.apply(images, known)  # (N, C, H, W)
         if not np.isfinite(channels).all():
             raise InputError(
                 "the measurement holds values too large for the network's float32 channels: rescale it, or "
@@ -137,7 +159,10 @@ class Predictor:
         self, channels: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
         self.network.eval()
-        output = self.network(torch.from_numpy(channels).to(self.device))  # (N, C, H, W)
+        images = torch.from_numpy(channels).to(self.device)
+        output = self.network(images)  # (N, C, H, W)
+        if self.config.settings.average_flip:
+            output = (output + self.network(images.flip(-2)).flip(-2)) / 2
         if not bool(output.isfinite().all()):
             raise RunError(
                 "the network answers with NaN or infinite values: its weights are damaged, or the "

@@ -150,7 +150,8 @@ class ThresholdSweep:
 
 def reread(prediction: DepthMap, readout: Readout) -> DepthMap:
     """Depth maps (N, H, W) of the same network outputs, read with another readout."""
-    return DepthMap(*read_output(output_of(prediction.phasor), readout), frequency_hz=readout.frequency_hz)
+    output = read_output(output_of(prediction.phasor), readout.of_phasors)
+    return DepthMap(*output, frequency_hz=readout.frequency_hz)
 
 
 def output_of(phasor: NDArray[np.complex64]) -> Tensor:

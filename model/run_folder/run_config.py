@@ -16,6 +16,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from model.network.channels import InputSpec
+from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet
 from model.network.wall_view import WallView
@@ -31,7 +32,7 @@ _MARK: Final = ',\n  "sha256": "'
 _END: Final = '"\n}\n'
 _MOST_BYTES: Final = 2**20
 _REPAIR: Final = "take the file from a copy of the run, or train again"
-_LATER: Final = ("freeze", "target", "min_delta", "ground_truth")
+_LATER: Final = ("reference", "freeze", "target", "min_delta", "ground_truth", "average_flip")
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -74,11 +75,13 @@ class RunConfig:
     run_id : `run_id_of` the run when it began, which weights and checkpoint repeat; None in schema 2.
     background_per_object : background pixels per object pixel of the training scenes, a constant of the loss;
         None if `settings.balance` does not need it.
+    object_depth_m : mean and standard deviation of the object's radial depth in the training scenes, metres,
+        constants of the output for `settings.target` ``mask+depth``; None otherwise.
     started_from : the network that the training started from; None if from random weights.
 
     Raises
     ------
-    ValueError : `background_per_object` is missing although the balance needs it.
+    ValueError : `background_per_object` or `object_depth_m` is missing although the settings need it.
     """
 
     settings: TrainSettings
@@ -93,16 +96,29 @@ class RunConfig:
     run_id: Sha256 | None = None
     schema_version: Literal[2, 3] = RUN_SCHEMA
     background_per_object: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
+    object_depth_m: Annotated[
+        tuple[Positive, Positive] | None, Field(exclude_if=lambda value: value is None)
+    ] = None
     started_from: Annotated[StartingWeights | None, Field(exclude_if=lambda value: value is None)] = None
 
     def __post_init__(self) -> None:
         if self.settings.balance == "dataset" and self.background_per_object is None:
             raise ValueError("the balance dataset needs background_per_object")
+        if self.settings.target == "mask+depth" and self.object_depth_m is None:
+            raise ValueError("the target mask+depth needs object_depth_m")
 
     @property
     def readout(self) -> Readout:
         """Reads mask and depth from the output of this run's network."""
         settings = self.settings
+        if self.object_depth_m:
+            return MaskAndDepth(
+                self.output_frequency_hz,
+                settings.mask_threshold,
+                mask_from="amplitude",
+                depth_mean_m=self.object_depth_m[0],
+                depth_spread_m=self.object_depth_m[1],
+            )
         return Readout(
             *(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone),
             mask_from="depth" if settings.target == "depth" else settings.mask_from,

@@ -88,7 +88,7 @@ class TrainingLog:
         """Log scenes side by side, ground truth above prediction: radial depth, Re and Im of the phasor."""
         depth_m = torch.stack([batch.radial_depth_m, readout.radial_depth_m(output)])  # (2, N, H, W)
         self._picture(epoch, "radial_depth", depth_m / depth_m.max().clamp_min(1e-9))
-        if readout.target == "depth":
+        if readout.target != "components":
             output = readout.components(output)
         components = torch.stack([batch.target, output]).clamp(-1, 1)  # (2, N, 2, H, W)
         for index, name in enumerate(("re", "im")):

@@ -13,6 +13,7 @@ import torch
 
 from model.data.channel_scaling import fit_input_spec
 from model.data.class_balance import BalanceError, background_per_object
+from model.data.object_depth import object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
@@ -172,11 +173,16 @@ def _configure(
             inputs = start.inputs(dataset, manifest.frequencies_hz)
         else:
             inputs = fit_input_spec(
-                *(settings.channels, shards, rows, settings.frequencies_hz, settings.amplitude_divisor)
+                *(settings.channels, shards, rows, settings.frequencies_hz, settings.amplitude_divisor),
+                reference=settings.reference,
+                view=wall_view(dataset),
             )
         ratio = before.background_per_object if before else None
         if settings.balance == "dataset" and ratio is None:
             ratio = background_per_object(shards, rows)
+        depth_m = before.object_depth_m if before else start.config.object_depth_m if start else None
+        if settings.target == "mask+depth" and depth_m is None:
+            depth_m = object_depth_m(shards, rows)
     except (BalanceError, ChannelError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
     config = RunConfig(
@@ -190,6 +196,7 @@ def _configure(
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
         background_per_object=ratio if settings.balance == "dataset" else None,
+        object_depth_m=depth_m if settings.target == "mask+depth" else None,
         started_from=before.started_from if before else start.origin if start else None,
     )
     return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))

@@ -65,7 +65,8 @@ class TrainingState:
         self.config, self.settings, self.shards, self.processes = config, settings, shards, processes
         self.run_id = config.run_id or run_id_of(config)
         frequencies_hz = shards.manifest.frequencies_hz
-        self.maker = BatchMaker.for_shards(config.inputs, frequencies_hz, shards.reference, device)
+        wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
+        self.maker = BatchMaker.for_shards(config.inputs, frequencies_hz, wall, device)
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
         steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
         self.step = TrainingStep(config, self.maker, processes, steps, weights)

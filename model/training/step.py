@@ -12,9 +12,21 @@ from model.data.batches import Batch, BatchMaker
 from model.data.rows import RowBlock
 from model.device import number_type
 from model.network.loss import NightLoss
+from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
 from model.run_folder.run_config import RunConfig
 from model.training.optimisation import Optimisation
 from model.training.processes import Processes
+
+
+def loss_of_run(config: RunConfig) -> NightLoss | MaskAndDepthLoss:
+    """The loss that the settings of a run choose."""
+    readout, settings = config.readout, config.settings
+    if isinstance(readout, MaskAndDepth):
+        return MaskAndDepthLoss(readout)
+    return NightLoss(
+        *(readout, settings.loss, settings.loss_on, settings.alpha, settings.balance),
+        background_per_object=config.background_per_object,
+    )
 
 
 class TrainingStep:
@@ -24,7 +36,7 @@ class TrainingStep:
     ----------
     network : the network that is trained.
     maker : makes batches from rows.
-    loss : loss according to the settings.
+    loss : loss of outputs, according to the settings.
     optimisation : updates the weights of `network`.
 
     Parameters
@@ -53,10 +65,7 @@ class TrainingStep:
         self.network = network.to(memory_format=self._order)  # type: ignore[call-overload]
         parallel = processes.parallel(self.network)
         self._trained = torch.compile(parallel) if settings.compile else parallel
-        self.loss = NightLoss(
-            *(config.readout, settings.loss, settings.loss_on, settings.alpha, settings.balance),
-            background_per_object=config.background_per_object,
-        )
+        self.loss = loss_of_run(config)
         self.optimisation = Optimisation(self.network, settings, steps_per_epoch, device)
 
     def loss_of(self, rows: RowBlock, draws: Draws) -> Tensor:

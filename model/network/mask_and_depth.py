@@ -1,0 +1,92 @@
+"""A network output of two images, what shows the object and how far it is: its reading and its loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from itof import unambiguous_range_m
+from model.network.readout import Readout, straight_through
+from model.settings import Target
+
+
+@dataclass(frozen=True)
+class MaskAndDepth(Readout):
+    """Mask and depth of (N, 2, H, W) outputs: the logit of an object pixel, and its standardised depth.
+
+    Unlike Re and Im, the depth does not wrap, has no small values where the mask is unsure, and is only
+    trained where there is an object. The phasor of the mirrored scene follows from both: its amplitude is the
+    probability of an object pixel, its phase that of the depth.
+
+    Attributes
+    ----------
+    depth_mean_m, depth_spread_m : the depth is mean + spread · output, metres: mean and standard deviation of
+        the object's radial depth over the training scenes.
+    mask_threshold : a pixel shows the object if its probability is at least this.
+
+    Source: ours.
+    """
+
+    dead_zone: float = 0.0
+    target: Target = "mask+depth"
+    depth_mean_m: float = 0.0
+    depth_spread_m: float = 1.0
+
+    @property
+    def of_phasors(self) -> Readout:
+        """Reads what `components` has made of an output."""
+        return Readout(self.frequency_hz, self.mask_threshold, 0.0, self.mask_from, self.mask_depth_m)
+
+    def components(self, output: Tensor) -> Tensor:
+        """(N, 2, H, W) Re and Im of the mirrored scene."""
+        phase = self._depth_of_output_m(output) / self.metres_per_radian  # (N, H, W)
+        return self.presence(output)[:, None] * torch.stack([phase.cos(), phase.sin()], dim=1)
+
+    def mask(self, output: Tensor) -> Tensor:
+        """(N, H, W) float mask, 0 or 1, with the gradient of the probability."""
+        probability = self.presence(output)
+        return straight_through((probability >= self.mask_threshold).to(output.dtype), probability)
+
+    def presence(self, output: Tensor) -> Tensor:
+        """(N, H, W) probability that a pixel shows the object."""
+        return output[:, 0].sigmoid()
+
+    def radial_depth_m(self, output: Tensor) -> Tensor:
+        """(N, H, W) radial depth, metres, 0 outside the mask."""
+        return self.mask(output) * self._depth_of_output_m(output)
+
+    def standardised(self, radial_depth_m: Tensor) -> Tensor:
+        """The output that stands for this depth, metres."""
+        return (radial_depth_m - self.depth_mean_m) / self.depth_spread_m
+
+    def _depth_of_output_m(self, output: Tensor) -> Tensor:
+        """(N, H, W) depth of every pixel, metres, within the range that the phasor can express."""
+        farthest_m = float(unambiguous_range_m(self.frequency_hz))
+        return (self.depth_mean_m + self.depth_spread_m * output[:, 1]).clamp(0.0, farthest_m * (1 - 1e-6))
+
+
+@dataclass(frozen=True)
+class MaskAndDepthLoss:
+    """L = cross entropy of the mask + (1 - soft IoU) + error of the depth, averaged over images.
+
+    The soft IoU of the probabilities p and the true mask m is sum(p m) / sum(p + m - p m), and 1 if both are
+    empty. The error of the depth is that of the standardised depth, squared below 1 and linear above (smooth
+    L1), as a mean over the true object's pixels; 0 without an object.
+    """
+
+    readout: MaskAndDepth
+
+    def __call__(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
+        """Loss of (N, 2, H, W) outputs, a scalar; the parameters are those of `NightLoss`."""
+        entropy = functional.binary_cross_entropy_with_logits(output[:, 0], mask, reduction="none")
+        probability = self.readout.presence(output)
+        both = (probability * mask).sum(dim=(1, 2))  # (N,)
+        either = (probability + mask).sum(dim=(1, 2)) - both
+        overlap = torch.where(either > 0, both / either.clamp_min(1e-12), torch.ones_like(either))
+        expected = self.readout.standardised(radial_depth_m)
+        error = functional.smooth_l1_loss(output[:, 1], expected, reduction="none") * mask
+        depth = error.sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1)
+        return (entropy.mean(dim=(1, 2)) + 1 - overlap + depth).mean()

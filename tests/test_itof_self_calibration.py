@@ -1,0 +1,186 @@
+"""Self-calibrated channels: closed forms, invariances, and what of the hidden light they lose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from many_light_scenes import CAMERA_LOCATION_M, DOWN, FORWARD, HORIZONTAL_FOV_DEG, RIGHT
+from wall_measurements import FOV_DEG, FREQUENCIES_HZ, noise
+
+from itof import direct_phasors, residual_channels
+from itof.wall.expected_wall import ExpectedWall
+from itof.wall.self_calibration import calibrate, turned_reference
+from itof.wall.wall_search import wall_from_nothing
+
+OFFSETS_RAD = np.array([0.005, -0.005, 0.005])
+HIDDEN_RAD = 1e-3  # phase that hidden light causes; the paper's scenes have 1 to 3 mrad
+
+
+def paper_wall(width, height, shift_m=0.0, tilt_deg=0.0):
+    """(H, W, F) direct return of the paper's wall, moved and turned about the vertical; pixels are areas."""
+    angle = np.radians(tilt_deg)
+    camera = (np.array([RIGHT, DOWN, FORWARD]), CAMERA_LOCATION_M)
+    place = ((shift_m, 0.0, 2.0), (np.cos(angle), np.sin(angle), 0.0))
+    direct = direct_phasors(width, height, HORIZONTAL_FOV_DEG, FREQUENCIES_HZ, *camera, *place, subpixels=16)
+    return ExpectedWall.of_camera(direct, FREQUENCIES_HZ, HORIZONTAL_FOV_DEG, *camera, *place)
+
+
+@pytest.fixture(scope="module")
+def wall():
+    return paper_wall(40, 30)
+
+
+def hidden(wall, seed=0):
+    """(H, W, F) smooth relative change of the phasors, of the size and shape of hidden light."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: wall.rays.shape[0], : wall.rays.shape[1]]
+    phases = [rng.uniform(0.1, 0.5) * x + rng.uniform(0.1, 0.5) * y + rng.uniform(0, 6) for _ in range(6)]
+    waves = np.cos(phases)
+    return 1 + HIDDEN_RAD * np.stack([a + 1j * b for a, b in zip(waves[::2], waves[1::2], strict=True)], -1)
+
+
+def residual(phasor, wall, **options):
+    """(2F - 1, H, W) channels after the calibration."""
+    return residual_channels(phasor, calibrate(phasor, wall, **options).direct)
+
+
+@pytest.mark.parametrize(("shift_m", "tilt_deg"), [(0.0, 0.0), (-0.005, 0.5), (0.08, 3.0), (-0.3, 0.0)])
+def test_plane_and_offsets_of_a_wall_alone_are_found(wall, shift_m, tilt_deg):
+    other = paper_wall(40, 30, shift_m, tilt_deg)
+    found = calibrate(other.direct * np.exp(1j * OFFSETS_RAD), wall)
+    # To the mean over a pixel, the direct return is known up to higher moments of its paths.
+    np.testing.assert_allclose(found.plane_per_m, other.plane_per_m, atol=5e-4)
+    np.testing.assert_allclose(found.offsets_rad, OFFSETS_RAD, atol=HIDDEN_RAD / 3)
+    assert not found.wiggling_rad.any()
+    if not shift_m:
+        np.testing.assert_allclose(found.plane_per_m, wall.plane_per_m, atol=1e-12)
+        np.testing.assert_allclose(found.offsets_rad, OFFSETS_RAD, atol=1e-12)
+
+
+def test_a_wall_that_was_never_measured_leaves_nothing_in_the_channels(wall):
+    measured = paper_wall(40, 30, 0.01, 1.0).direct * np.exp(1j * OFFSETS_RAD)
+    left = residual(measured, wall)
+    assert np.sqrt((left**2).mean()) < HIDDEN_RAD / 30
+    assert np.sqrt((residual_channels(measured, wall.direct) ** 2).mean()) > 30 * HIDDEN_RAD
+    finer = residual(paper_wall(80, 60, 0.01, 1.0).direct * np.exp(1j * OFFSETS_RAD), paper_wall(80, 60))
+    assert np.sqrt((left**2).mean() / (finer**2).mean()) > 3.5  # the pixel's second moments: its area
+
+
+@pytest.mark.parametrize(("shift_m", "tilt_deg"), [(0.005, 0.0), (0.0, 0.5), (0.01, 1.0)])
+def test_the_channels_of_hidden_light_do_not_depend_on_where_the_wall_is_nor_on_phase_offsets(
+    wall, shift_m, tilt_deg
+):
+    light = hidden(wall)
+    straight = residual(wall.direct * light, wall)
+    other = paper_wall(40, 30, shift_m, tilt_deg).direct * np.exp(1j * OFFSETS_RAD)
+    change = residual(other * light, wall) - straight
+    size = np.sqrt((straight**2).mean(axis=(1, 2)))
+    assert (np.sqrt((change**2).mean(axis=(1, 2))) < 0.1 * size).all()
+
+
+def test_all_that_is_lost_of_the_hidden_light_is_a_plane_and_an_offset_per_frequency(wall):
+    light = hidden(wall)
+    z = wall.direct * light
+    known, self_calibrated = (residual_channels(z, each) for each in (wall.direct, calibrate(z, wall).direct))
+    lost = np.moveaxis(known[:3] - self_calibrated[:3], 0, -1)  # (H, W, F) of Im r_f
+    tangent = -(wall.radial_depth_m**2)[..., None] * wall.rays  # (H, W, 3)
+    columns = [(tangent[..., None, i] * wall.slope).ravel() for i in range(3)]
+    columns += [np.broadcast_to(row, lost.shape).ravel() for row in np.eye(3)]
+    basis = np.stack(columns, axis=-1)
+    rest = lost.ravel() - basis @ np.linalg.lstsq(basis, lost.ravel(), rcond=None)[0]
+    assert np.sqrt((lost**2).mean()) > HIDDEN_RAD / 20  # it is not nothing
+    largest = 8 * HIDDEN_RAD * np.abs(lost).max()  # of second order
+    assert np.abs(rest).max() < largest < HIDDEN_RAD / 100
+    np.testing.assert_allclose(known[3:], self_calibrated[3:], atol=largest)  # Re r_f - Re r_0
+
+
+def test_what_is_lost_does_not_depend_on_the_strength_of_the_hidden_light(wall):
+    light = hidden(wall) - 1
+    weak, strong = (residual(wall.direct * (1 + times * light), wall) for times in (0.5, 2.0))
+    np.testing.assert_allclose(strong, 4 * weak, atol=20 * HIDDEN_RAD**2)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_pixels_that_do_not_see_the_wall_do_not_move_it(wall, share):
+    other = paper_wall(40, 30, 0.01, 0.5)
+    z = other.direct.copy()
+    rows = int(share * z.shape[0])
+    z[:rows] = 3 * noise((rows, *z.shape[1:]))  # another thing, at any phase
+    z[-1, 0] = 0  # and a dead pixel
+    found = calibrate(z, wall)
+    depth_m = 1 / (wall.rays @ found.plane_per_m)
+    assert np.abs(depth_m / other.radial_depth_m - 1)[rows:].max() < 2e-3
+    assert np.isfinite(found.direct).all()
+
+
+def test_images_without_a_wall_stay_finite(wall):
+    images = np.stack([0 * wall.direct, noise(wall.direct.shape), wall.direct])
+    found = calibrate(images, wall)
+    for array in (found.plane_per_m, found.offsets_rad, found.direct):
+        assert np.isfinite(array).all()
+    np.testing.assert_allclose(found.plane_per_m[0], wall.plane_per_m, atol=1e-9)
+    np.testing.assert_allclose(found.direct[2], wall.direct, rtol=1e-9)
+
+
+def test_the_four_cycle_error_of_a_square_wave_is_fitted_on_request(wall):
+    depth = wall.slope * wall.radial_depth_m[..., None]
+    error = 5e-3 * np.array([1.0, -0.5, 0.3]) * np.cos(4 * depth) + 2e-3 * np.sin(4 * depth)
+    z = wall.direct * np.exp(1j * error)
+    found = calibrate(z, wall, wiggling=True)
+    np.testing.assert_allclose(found.wiggling_rad[..., 0], 5e-3 * np.array([1.0, -0.5, 0.3]), rtol=1e-4)
+    np.testing.assert_allclose(found.wiggling_rad[..., 1], 2e-3, rtol=1e-4)
+    turned = turned_reference(wall.direct, error)
+    np.testing.assert_allclose(found.direct, turned, rtol=1e-6)
+    assert np.abs(residual(z, wall)[:3]).max() > 30 * np.abs(np.angle(z / found.direct)).max()
+
+
+def test_a_single_frequency_is_enough(wall):
+    alone, measured = wall.at([1]), paper_wall(40, 30, 0.005, 0.2).at([1]).direct * np.exp(0.01j)
+    assert np.sqrt((residual(measured, alone) ** 2).mean()) < HIDDEN_RAD / 30
+
+
+def test_torch_and_numpy_agree_to_rounding_and_images_do_not_depend_on_their_batch(wall):
+    walls = [paper_wall(40, 30, 0.01 * i, 0.3 * i) for i in range(3)]
+    images = np.stack([each.direct for each in walls]) * hidden(wall) * np.exp(1j * OFFSETS_RAD)
+    ours = calibrate(images, wall)
+    theirs = calibrate(torch.from_numpy(images), wall.converted(torch.from_numpy))
+    np.testing.assert_allclose(theirs.direct.numpy(), ours.direct, rtol=1e-9)
+    for index in range(3):
+        np.testing.assert_allclose(calibrate(images[index], wall).direct, ours.direct[index], rtol=1e-9)
+    single = calibrate(
+        torch.from_numpy(images.astype(np.complex64)),
+        replace(wall.converted(torch.from_numpy), direct=torch.from_numpy(wall.direct.astype(np.complex64))),
+    )
+    assert single.direct.dtype == torch.complex64
+    np.testing.assert_allclose(single.direct.numpy(), ours.direct, rtol=2e-6)
+
+
+def test_a_turned_reference_is_that_of_the_turned_wall(wall):
+    other = paper_wall(40, 30, 0.01, 1.0)
+    turn = wall.slope * (other.radial_depth_m - wall.radial_depth_m)[..., None]
+    turned = turned_reference(wall.direct, turn)
+    plain = wall.direct * np.exp(1j * turn)
+    left, before = (
+        np.sqrt((residual_channels(other.direct, each) ** 2).mean(axis=(1, 2))) for each in (turned, plain)
+    )
+    assert (left[:3] < before[:3] / 2).all()  # phases
+    assert (left[3:] < before[3:] / 50).all()  # how amplitudes differ between frequencies
+
+
+@pytest.mark.parametrize("plane", [(-0.6, 0.1, 0.7), (0.05, -0.1, 0.4), (-0.7, 0.0, 0.6)])
+def test_a_wall_is_found_without_knowing_the_pose_of_the_camera(plane):
+    truth = ExpectedWall.of_plane(np.array(plane), 40, 30, FREQUENCIES_HZ, FOV_DEG)
+    z = 5e4 * truth.direct * hidden(truth) * np.exp(1j * OFFSETS_RAD)
+    found = wall_from_nothing(z, FREQUENCIES_HZ, FOV_DEG)
+    assert np.abs(found.radial_depth_m / truth.radial_depth_m - 1).max() < 0.01
+    left, known = residual(z, found), residual(z, truth)
+    assert np.sqrt(((left - known) ** 2).mean()) < 0.05 * np.sqrt((known**2).mean())
+
+
+def test_a_plane_that_cannot_be_is_refused():
+    for plane in ([0.0, 0.0, 0.0], [np.nan, 0.0, 1.0]):
+        with pytest.raises(ValueError, match="is no plane"):
+            ExpectedWall.of_plane(plane, 4, 3, FREQUENCIES_HZ, FOV_DEG)
+    with pytest.raises(ValueError, match="no pixel holds light"):
+        wall_from_nothing(np.zeros((3, 4, 3), complex), FREQUENCIES_HZ, FOV_DEG)

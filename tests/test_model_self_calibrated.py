@@ -1,0 +1,128 @@
+"""Runs whose channels calibrate themselves, or that need a capture: training, prediction, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measurements import write_npz
+from night_commands import refusal
+from training_runs import SEEING, assert_same_end, config_of, settings, train_on_one_thread
+from wall_measurements import farther
+
+from model.network.wall_view import wall_view
+from model.prediction.measurement_files import MeasurementError
+from model.prediction.prediction_files import predict_file
+from model.prediction.predictor import InputError, load
+from model.run_folder.run_config import RunError
+from model.training.loop import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+SELF = SEEING | {"reference": "self", "channels": "residual", "noise_sigma": 0.0}
+
+
+@pytest.fixture(scope="module")
+def self_run(closed_form_scenes, tmp_path_factory):
+    return train_on_one_thread(closed_form_scenes, tmp_path_factory.mktemp("self") / "run", **SELF)
+
+
+@pytest.fixture(scope="module")
+def capture_run(closed_form_scenes, tmp_path_factory):
+    out = tmp_path_factory.mktemp("capture") / "run"
+    return train_on_one_thread(closed_form_scenes, out, **SEEING | {"reference": "capture", "max_epochs": 1})
+
+
+def elsewhere(predictor, shift_m=0.01, turn=0.01):
+    """The predictor with a wall that is moved and turned, as if nobody had measured it."""
+    view = predictor.config.geometry
+    point_m = tuple((np.array(view.wall_point_m) - shift_m * np.array(view.wall_normal)).tolist())
+    normal = np.array(view.wall_normal) + turn * np.array(view.camera_axes[0])
+    moved = replace(view, wall_point_m=point_m, wall_normal=tuple((normal / np.linalg.norm(normal)).tolist()))
+    return replace(predictor, config=replace(predictor.config, geometry=moved))
+
+
+def test_a_prediction_does_not_depend_on_the_wall_that_was_assumed_nor_on_phase_offsets(self_run, shards):
+    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors(range(4))
+    assert config_of(self_run)["inputs"]["reference"] == "self"
+    drift = np.exp(1j * np.array([0.005, -0.005, 0.005]))
+    straight = predictor.predict(phasors).phasor
+    shifted = elsewhere(predictor).predict(phasors * drift).phasor
+    known = replace(
+        predictor,
+        config=replace(predictor.config, inputs=replace(predictor.config.inputs, reference="geometry")),
+    )
+    lost = elsewhere(known).predict(phasors * drift).phasor
+    size, small, large = (np.linalg.norm(each) for each in (straight, shifted - straight, lost - straight))
+    assert small < 0.1 * size  # the pixels are large, and what is left falls with their area
+    assert large > 10 * small
+
+
+def test_the_channels_of_the_training_scenes_have_unit_variance(self_run, shards):
+    predictor = load(self_run, "cpu")
+    phasors = shards.complex_phasors(shards.rows("train"))
+    inputs = predictor.config.inputs
+    channels = inputs.apply(phasors, inputs.reference_for(phasors, predictor.wall))
+    np.testing.assert_allclose(channels.std(axis=(0, 2, 3)), 1, rtol=1e-3)
+
+
+def test_a_capture_of_the_empty_corner_takes_its_own_errors_along(self_run, shards):
+    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors([0, 1])
+    height, width = phasors.shape[1:3]
+    y, x = np.mgrid[:height, :width]
+    error = np.exp(0.02j * np.sin(0.5 * x + 0.9 * y))[..., None]  # of each pixel, no plane and no offset
+    capture = 7 * predictor.reference * error
+    straight, captured = (predictor.predict(*a).phasor for a in ((phasors,), (phasors * error, capture)))
+    np.testing.assert_allclose(captured, straight, atol=0.02 * np.abs(straight).max())
+    assert np.abs(predictor.predict(phasors * error).phasor - straight).max() > 0.1 * np.abs(straight).max()
+
+
+def test_a_resumed_self_calibrated_run_ends_as_if_uninterrupted(closed_form_scenes, tmp_path):
+    chosen = settings(**SELF | {"max_epochs": 2})
+    train(closed_form_scenes, tmp_path / "whole", chosen)
+    train(closed_form_scenes, tmp_path / "run", settings(**SELF | {"max_epochs": 1}))
+    train(closed_form_scenes, tmp_path / "run", chosen, resume=True)
+    assert_same_end(tmp_path / "run", tmp_path / "whole")
+
+
+def test_a_file_of_another_wall_is_predicted_without_a_warning(self_run, shards, tmp_path):
+    predictor = load(self_run, "cpu")
+    wall = predictor.wall
+    moved = shards.complex_phasors([0]) * np.exp(1j * wall.slope * 0.008 * wall.radial_depth_m[..., None])
+    file = write_npz(tmp_path / "m.npz", phasors=-moved)  # and a camera whose sign is the opposite
+    found = predict_file(self_run, file, tmp_path / "out", device="cpu", progress=False)
+    assert found.check.warnings == ()
+    (seen,) = found.check.walls
+    assert seen.distance_shift_m == pytest.approx(0.008, abs=0.002)
+    assert len(seen.plane_per_m) == 3
+    assert (tmp_path / "out" / "000000_wall.png").stat().st_size > 1000
+
+
+def test_a_wall_of_another_corner_is_refused(self_run, shards, tmp_path):
+    far = farther(shards.complex_phasors([0])[0], load(self_run, "cpu").wall, 0.4)
+    file = write_npz(tmp_path / "m.npz", phasors=far)
+    with pytest.raises(MeasurementError, match=r"farther away.*: the run was trained on another corner"):
+        predict_file(self_run, file, tmp_path / "out", device="cpu", progress=False)
+
+
+def test_a_run_for_captures_needs_one(capture_run, shards, tmp_path):
+    predictor, phasors = load(capture_run, "cpu"), shards.complex_phasors([0])
+    with pytest.raises(InputError, match="for a capture of the empty corner: give one as reference"):
+        predictor.predict(phasors)
+    assert predictor.predict(phasors, predictor.reference).mask.shape == phasors.shape[:3]
+    file = write_npz(tmp_path / "m.npz", phasors=phasors)
+    told = refusal("night-eval", "predict", capture_run, file, "--out", tmp_path / "out", "--device", "cpu")
+    assert told == (
+        f"{file} has no array reference, and {capture_run} was trained for a capture of the empty corner: "
+        "give one as reference"
+    )
+
+
+def test_fine_tuning_keeps_the_reference(self_run, closed_form_scenes, tmp_path):
+    other = settings(**SELF | {"reference": "geometry"})
+    with pytest.raises(RunError, match=r"reference is geometry, but .* was trained with self"):
+        train(closed_form_scenes, tmp_path / "run", other, start_from=self_run)
+    train(closed_form_scenes, tmp_path / "run", settings(**SELF | {"max_epochs": 1}), start_from=self_run)
+    assert config_of(tmp_path / "run")["inputs"] == config_of(self_run)["inputs"]
+
+
+def test_the_geometry_is_that_of_the_dataset(self_run, closed_form_scenes):
+    assert load(self_run, "cpu").config.geometry == wall_view(closed_form_scenes)
