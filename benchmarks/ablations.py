@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
     parser.add_argument(
-        "--preset", default="default", help="preset that all rows are applied to, default: default"
+        "--preset", default="known-wall", help="preset that all rows are applied to, default: known-wall"
     )
     parser.add_argument("--width", type=int, help="channels of the first level, default from --preset")
     parser.add_argument("--max-epochs", type=int, help="default from --preset")

@@ -21,6 +21,7 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 DASHES = {"dash": "--", "dot": ":"}
 SIZE_INCHES = (4.4, 3.0)
+MOST_LETTERS = 40  # of all names in one row of the legend
 
 
 def chart_figure(chart: Chart) -> Figure:
@@ -77,7 +78,7 @@ def _legend(axes: Axes) -> None:
         names,
         loc="lower center",
         bbox_to_anchor=(0.5, 1.0),
-        ncols=min(len(names), 3),
+        ncols=min(len(names), 3) if sum(map(len, names)) <= MOST_LETTERS else 1,
         frameon=False,
         fontsize=9,
         labelcolor=TEXT,
