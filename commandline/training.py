@@ -60,8 +60,8 @@ def _chosen_settings(
 ) -> TrainSettings:
     """Settings of the run in `out` if it is resumed, then those of the preset, then the given options.
 
-    A run that starts from another one has the network, the input and the readout of that one instead of the
-    preset's.
+    A run that starts from another one has the network, the input, the readout and the loss of that one, not
+    those of the preset.
     """
     import model
 

@@ -7,6 +7,7 @@ from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
 from .report.evaluation import evaluate
 from .run_folder.run_config import fine_tuning_settings, run_settings
+from .run_folder.shipped import shipped_runs
 from .settings import TrainSettings, settings_from_dict, training_preset
 from .training.loop import train
 
@@ -24,6 +25,7 @@ __all__ = [
     "predict_file",
     "run_settings",
     "settings_from_dict",
+    "shipped_runs",
     "train",
     "training_preset",
 ]

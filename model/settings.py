@@ -16,7 +16,7 @@ from scenegen.contract import STRICT, Positive, WholeCount, checked
 Channels = Literal["paper", "residual", "paper+residual"]
 CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
 AmplitudeDivisor = Literal["mean", "maximum"]
-Reference = Literal["geometry", "capture", "self"]
+Reference = Literal["geometry", "capture", "self", "self+wiggling"]
 LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth"]
 LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth")
 Balance = Literal["image", "dataset", "class-means"]
@@ -33,9 +33,10 @@ PRECISIONS: tuple[Precision, ...] = ("auto", "float32", "bfloat16", "float16")
 Schedule = Literal["constant", "cosine"]
 SCHEDULES: tuple[Schedule, ...] = ("constant", "cosine")
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
-# A run that starts from the weights of another one has its network and input, and by default its readout.
+# A run that starts from the weights of another one has its network and input, and by default its readout and
+# the loss that goes with it.
 NETWORK_SETTINGS = ("channels", "reference", "amplitude_divisor", "frequencies_hz", "width", "target")
-READOUT_SETTINGS = ("mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
+READOUT_SETTINGS = ("loss", "mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
 
 
@@ -53,7 +54,8 @@ class TrainSettings:
     """Network input. With paper alone the network learns little (docs/design.md)."""
     reference: Reference = "geometry"
     """Direct return in the residual channels: computed from camera and wall, or a capture of the empty corner
-    that predictions then need, or moved to the wall and phases that each measurement shows (self)."""
+    that predictions then need, or moved to the wall and phases that each measurement shows (self), which may
+    have the four-cycle error of a square-wave camera (self+wiggling)."""
     amplitude_divisor: AmplitudeDivisor = "mean"
     """The amplitude channel is divided by this amplitude of the training scenes; the paper: to [0, 1]."""
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
@@ -144,7 +146,7 @@ class TrainSettings:
         if (self.target == "mask+depth") != (self.loss == "bce+iou+depth"):
             raise ValueError(
                 f"target {self.target} does not go with loss {self.loss}: target mask+depth and loss "
-                "bce+iou+depth go together"
+                "bce+iou+depth go together; the presets known-wall and paper have target components"
             )
 
 

@@ -10,7 +10,10 @@ BIG = "9" * 30
 # file that is nothing of ours, {folder} a folder with such a file; {out} does not exist.
 TABLE = [
     # night-gen
-    ("night-gen scenes {out} --preset nowhere", "no preset nowhere: give a .toml file or one of demo, paper"),
+    (
+        "night-gen scenes {out} --preset nowhere",
+        "no preset nowhere: give a .toml file or one of demo, judge, paper",
+    ),
     ("night-gen scenes {out} --preset {folder}", "no preset {folder}"),
     ("night-gen scenes {out} --preset {file}", "{file} cannot be read as TOML"),
     (f"night-gen scenes {{out}} --preset {'x' * 5000}", "File name too long"),

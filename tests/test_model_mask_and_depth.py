@@ -1,6 +1,8 @@
 """The network that predicts the mask and the depth: readout, loss, and the way from training to ONNX."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from night_commands import night_here
 from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
 
 from itof import phasor_of_return
-from model.data.object_depth import object_depth_m
+from model.data.class_balance import BalanceError
+from model.data.object_depth import LEAST_SPREAD_M, object_depth_m
+from model.data.rows import RowBlock
 from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import load
@@ -135,3 +139,17 @@ def test_what_contradicts_the_target_is_refused(run, tmp_path):
     edit_config(run, object_depth_m=None)
     with pytest.raises(RunError, match=r"needs object_depth_m"):
         load(run, "cpu")
+
+
+def test_scenes_of_one_depth_have_a_spread_and_scenes_without_object_are_refused(tmp_path):
+    flat = RowBlock(
+        (0,), np.zeros((1, 2, 2, 3)), np.zeros((1, 2, 2, 3)), np.full((1, 2, 3), 2.5), np.ones((1, 2, 3))
+    )
+    empty = replace(flat, radial_depth_m=0 * flat.radial_depth_m, mask=0 * flat.mask)
+    for block, found in ((flat, (2.5, LEAST_SPREAD_M)), (empty, None)):
+        shards = SimpleNamespace(manifest=SimpleNamespace(scenes_per_piece=1), read=lambda _, b=block: b)
+        if found:
+            assert object_depth_m(shards, [0]) == pytest.approx(found)
+        else:
+            with pytest.raises(BalanceError, match="shows no object: train with --preset known-wall"):
+                object_depth_m(shards, [0])

@@ -9,6 +9,7 @@ from night_commands import refusal
 from training_runs import SEEING, assert_same_end, config_of, settings, train_on_one_thread
 from wall_measurements import farther
 
+from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
 from model.prediction.measurement_files import MeasurementError
 from model.prediction.prediction_files import predict_file
@@ -75,6 +76,22 @@ def test_a_capture_of_the_empty_corner_takes_its_own_errors_along(self_run, shar
     assert np.abs(predictor.predict(phasors * error).phasor - straight).max() > 0.1 * np.abs(straight).max()
 
 
+def test_the_error_of_a_square_wave_is_taken_out_on_request(self_run, shards):
+    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors([0, 1])
+    phases, error = np.angle(phasors), 0.0
+    for _ in range(5):  # the error is a function of the phase that has it
+        error = 0.01 * np.cos(4 * (phases + error)) + 0.005 * np.sin(4 * (phases + error))
+    measured = phasors * np.exp(1j * error)
+    changes = {}
+    for reference in ("self", "self+wiggling"):
+        inputs = replace(predictor.config.inputs, reference=reference)
+        before, after = (
+            inputs.apply(z, inputs.reference_for(z, predictor.wall)) for z in (phasors, measured)
+        )
+        changes[reference] = np.linalg.norm(after - before) / np.linalg.norm(before)
+    assert changes["self+wiggling"] < 0.05 < changes["self"] / 5
+
+
 def test_a_resumed_self_calibrated_run_ends_as_if_uninterrupted(closed_form_scenes, tmp_path):
     chosen = settings(**SELF | {"max_epochs": 2})
     train(closed_form_scenes, tmp_path / "whole", chosen)
@@ -126,3 +143,14 @@ def test_fine_tuning_keeps_the_reference(self_run, closed_form_scenes, tmp_path)
 
 def test_the_geometry_is_that_of_the_dataset(self_run, closed_form_scenes):
     assert load(self_run, "cpu").config.geometry == wall_view(closed_form_scenes)
+
+
+def test_a_camera_in_the_plane_of_the_wall_is_refused(self_run):
+    predictor = load(self_run, "cpu")
+    view = predictor.config.geometry
+    inside = replace(view, wall_point_m=view.camera_location_m)
+    with pytest.raises(ChannelError, match="the camera is in the plane of the wall"):
+        inside.expected_wall(predictor.reference, predictor.config.inputs.frequencies_hz)
+    broken = replace(predictor, config=replace(predictor.config, geometry=inside))
+    with pytest.raises(RunError, match="the geometry of the run cannot be"):
+        _ = broken.wall

@@ -3,12 +3,13 @@
 All but 0.2 % of a phasor z_f is the direct return of the relay wall, so its phase over the expected direct
 return d_f says by how much the wall is elsewhere and by how much the camera's phases are off:
 
-    arg(z_f conj d_f) = k_f (L - L_0) + o_f + a_f cos 4 k_f L + b_f sin 4 k_f L + hidden,   k_f = 4π f / c
+    arg(z_f conj d_f) = k_f (L - L_0) + o_f + a_f cos 4 φ_f + b_f sin 4 φ_f + hidden,   k_f = 4π f / c
 
 L is the wall's distance along the ray r of a pixel and L_0 the expected one. For a plane, 1 / L = m · r is
 linear in m, so dL = -L² r · dm. The unknowns are the plane (3), a phase offset per frequency (F) and, as an
 option, the four-cycle error of a square-wave camera (2F). They follow by least squares over all pixels and
-frequencies; the step is repeated because L depends on the plane (Gauss-Newton).
+frequencies; the step is repeated because L depends on the plane (Gauss-Newton). φ_f = arg z_f is the measured
+phase, of which the four-cycle error is a function.
 
 The fit takes as many dimensions of the hidden light with it as it has unknowns. A pixel has the weight
 |d_0|², the inverse of its phase variance under noise. It does not depend on the measurement, so the lost
@@ -36,6 +37,7 @@ from itof.weighted_reference import log_slope, quotient, weighted_reference
 # last, a pixel with 45 mrad of hidden light has the weight 0.94; 99.9 % of those in the paper's have less.
 _WIDTHS_RAD: Final = (2.0, 0.7, 0.25, 0.25, 0.25)
 _RIDGE: Final = 1e-12  # of the normal matrix with a unit diagonal: an unknown that no pixel shows stays 0
+_DARKEST: Final = 1e-300  # of a wall without any return, which then has no weight
 _STEEPEST: Final = 0.5  # radians per pixel; a larger step of the phase is the edge of the wall
 
 
@@ -74,21 +76,25 @@ def calibrate(
     An image that shows no wall keeps the plane and the offsets that it started with, or nearly so.
     """
     xp = array_namespace(phasor)
-    problem = _Problem.of(xp, phasor, wall)
+    problem = _Problem.of(xp, phasor, wall, wiggling)
     batch = tuple(phasor.shape[:-3])
     start = wall.plane_per_m if start_per_m is None else start_per_m
     plane = xp.broadcast_to(xp.astype(start, xp.float64), (*batch, 3))
-    local = problem.first_guess(plane, 3 if wiggling else 1)
+    local = problem.first_guess(plane)
     for width in _WIDTHS_RAD:
         plane, local = problem.step(plane, local, width)
     plane, local = _kept(xp, plane), _kept(xp, local)
-    turn = xp.reshape(xp.matrix_transpose(problem.turn(plane, local)[0]), tuple(phasor.shape))
+    phases = [problem.turn(plane, local[..., 0])[0], problem.wiggle(local)]
+    turn, wiggle = (xp.reshape(xp.matrix_transpose(each), tuple(phasor.shape)) for each in phases)
+    direct = turned_reference(wall.direct, turn)
+    if wiggling:  # the camera's error is that of the phase of a whole pixel
+        direct = xp.astype(direct * (xp.cos(wiggle) + 1j * xp.sin(wiggle)), direct.dtype)
     none = xp.zeros((*local.shape[:-1], 2), dtype=local.dtype, device=device(local))
     return Calibration(
         plane_per_m=plane,
         offsets_rad=local[..., 0],
         wiggling_rad=local[..., 1:] if wiggling else none,
-        direct=turned_reference(wall.direct, turn),
+        direct=direct,
     )
 
 
@@ -119,61 +125,66 @@ class _Problem:
     Attributes
     ----------
     phases : (..., F, n) measured over expected, radians, modulo 2π.
+    basis : (..., F, Q, n) what the Q unknowns of each frequency multiply: 1, and the four cycles.
     weight : (..., 1, n) weights of the pixels; 0 where a pixel holds no light.
     rays : (n, 3); expected_depth_m : (n,) with 0 where the ray misses the wall; slope : (F, 1) rad/m.
     """
 
     xp: ModuleType
     phases: Any
+    basis: Any
     weight: Any
     rays: Any
     expected_depth_m: Any
     slope: Any
 
     @classmethod
-    def of(cls, xp: ModuleType, phasor: Any, wall: ExpectedWall) -> _Problem:
+    def of(cls, xp: ModuleType, phasor: Any, wall: ExpectedWall, wiggling: bool) -> _Problem:
         known = weighted_reference(wall.direct, xp.abs(phasor[..., 0]))
         ratio = phasor * xp.conj(quotient(xp, known, xp.abs(known)))  # (..., H, W, F)
-        ratio = xp.moveaxis(xp.reshape(ratio, (*phasor.shape[:-3], -1, phasor.shape[-1])), -1, -2)
+        rows = (*phasor.shape[:-3], -1, phasor.shape[-1])
+        ratio, measured = (xp.moveaxis(xp.reshape(each, rows), -1, -2) for each in (ratio, phasor))
+        phases, cycles = (xp.astype(xp.atan2(xp.imag(z), xp.real(z)), xp.float64) for z in (ratio, measured))
+        waves = [xp.cos(4 * cycles), xp.sin(4 * cycles)] if wiggling else []
         meets = xp.reshape(xp.isfinite(wall.radial_depth_m), (-1,))
         lit = xp.all(ratio != 0, axis=-2, keepdims=True) & meets  # (..., 1, n)
         strength = xp.reshape(xp.astype(xp.abs(wall.direct[..., 0]), xp.float64), (-1,))
         depth_m = xp.reshape(wall.radial_depth_m, (-1,))
         return cls(
             xp,
-            xp.astype(xp.atan2(xp.imag(ratio), xp.real(ratio)), xp.float64),
-            (strength / xp.max(strength)) ** 2 * xp.astype(lit, xp.float64),
+            phases,
+            xp.stack([xp.ones_like(phases), *waves], axis=-2),
+            (strength / xp.clip(xp.max(strength), min=_DARKEST)) ** 2 * xp.astype(lit, xp.float64),
             xp.reshape(wall.rays, (-1, 3)),
             xp.where(meets, depth_m, xp.zeros_like(depth_m)),
             xp.asarray(wall.slope, dtype=xp.float64, device=device(phasor))[:, None],
         )
 
-    def turn(self, plane: Any, local: Any) -> tuple[Any, Any, Any]:
-        """Phases (..., F, n) of plane and offsets; the depth (..., n); the local basis (..., F, Q, n)."""
+    def turn(self, plane: Any, offset: Any) -> tuple[Any, Any]:
+        """Phases (..., F, n) of the plane and the offsets (..., F); the depth (..., n)."""
         xp = self.xp
         depth_m = radial_depth_of_plane(self.rays, plane)  # (..., n)
         depth_m = xp.where(xp.isfinite(depth_m), depth_m, self.expected_depth_m)
-        phases = (depth_m - self.expected_depth_m)[..., None, :] * self.slope + local[..., :1]
-        basis = xp.ones_like(phases)[..., None, :]
-        if local.shape[-1] > 1:
-            cycles = 4 * depth_m[..., None, :] * self.slope
-            basis = xp.stack([basis[..., 0, :], xp.cos(cycles), xp.sin(cycles)], axis=-2)
-            phases = phases + xp.sum(basis[..., 1:, :] * local[..., 1:, None], axis=-2)
-        return phases, depth_m, basis
+        return (depth_m - self.expected_depth_m)[..., None, :] * self.slope + offset[..., None], depth_m
 
-    def first_guess(self, plane: Any, count: int) -> Any:
+    def wiggle(self, local: Any) -> Any:
+        """Four-cycle errors (..., F, n) of the local unknowns (..., F, Q); 0 if Q is 1."""
+        return self.xp.sum(self.basis[..., 1:, :] * local[..., 1:, None], axis=-2)
+
+    def first_guess(self, plane: Any) -> Any:
         """(..., F, Q) offsets that turn the mean phasor to 0; the other unknowns are 0."""
         xp = self.xp
-        none = xp.zeros_like(self.phases[..., :1])  # (..., F, 1)
-        left = self.phases - self.turn(plane, none)[0]
+        none = xp.zeros_like(self.basis[..., 0])  # (..., F, Q)
+        left = self.phases - self.turn(plane, none[..., 0])[0]
         along, across = (xp.sum(self.weight * part(left), axis=-1) for part in (xp.cos, xp.sin))
-        return xp.concat([xp.atan2(across, along)[..., None], *[none] * (count - 1)], axis=-1)
+        return xp.concat([xp.atan2(across, along)[..., None], none[..., 1:]], axis=-1)
 
     def step(self, plane: Any, local: Any, width_rad: float) -> tuple[Any, Any]:
         """Plane and local unknowns after one step of least squares."""
         xp, k = self.xp, self.slope
-        turn, depth_m, basis = self.turn(plane, local)
-        left = self.phases - turn
+        basis = self.basis
+        turn, depth_m = self.turn(plane, local[..., 0])
+        left = self.phases - turn - self.wiggle(local)
         left = left - 2 * math.pi * xp.round(left / (2 * math.pi))
         farthest = xp.max(xp.abs(left), axis=-2, keepdims=True)  # (..., 1, n)
         weight = self.weight * (1 - xp.clip((farthest / width_rad) ** 2, max=1.0)) ** 2

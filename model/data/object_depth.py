@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -10,9 +11,11 @@ from model.data.class_balance import BalanceError
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
 
+LEAST_SPREAD_M: Final = 0.01  # for scenes whose objects are all equally far
+
 
 def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:
-    """Mean and standard deviation of the radial depth of all object pixels of some scenes, metres.
+    """Mean and standard deviation, at least `LEAST_SPREAD_M`, of the object's radial depth in scenes, metres.
 
     Reads one piece of the shards at a time.
 
@@ -22,7 +25,7 @@ def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:
 
     Raises
     ------
-    BalanceError : the scenes have no object pixel, or all of them have the same depth.
+    BalanceError : the scenes have no object pixel.
     """
     count, total, squares = 0, 0.0, 0.0
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
@@ -31,11 +34,10 @@ def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:
         count += depth_m.size
         total += float(depth_m.sum())
         squares += float((depth_m**2).sum())
-    mean_m = total / max(count, 1)
-    variance = squares / max(count, 1) - mean_m**2
-    if not variance > 0:
+    if not count:
         raise BalanceError(
-            f"the ground truth of the {len(rows)} training scenes shows no object, or one at a single depth: "
-            "train with --target components, or render scenes that show more"
+            f"the ground truth of the {len(rows)} training scenes shows no object: train with "
+            "--preset known-wall, or render scenes that show one"
         )
-    return mean_m, variance**0.5
+    mean_m = total / count
+    return mean_m, max(squares / count - mean_m**2, LEAST_SPREAD_M**2) ** 0.5

@@ -84,7 +84,7 @@ class InputSpec:
     @property
     def self_calibrates(self) -> bool:
         """Whether `reference_for` moves the direct return to the wall that each image shows."""
-        return self.uses_residual and self.reference == "self"
+        return self.uses_residual and self.reference in ("self", "self+wiggling")
 
     @property
     def needs_capture(self) -> bool:
@@ -119,10 +119,12 @@ class InputSpec:
     def reference_for(self, phasor: Any, wall: ExpectedWall) -> Any:
         """The direct return that `apply` needs for these phasors (..., H, W, F).
 
-        That of the wall, (H, W, F); with the reference ``self`` it is moved to the wall and the phases that
+        That of the wall, (H, W, F); with the references ``self`` it is moved to the wall and the phases that
         each image shows (`itof.wall.self_calibration`), (..., H, W, F).
         """
-        return calibrate(phasor, wall).direct if self.self_calibrates else wall.direct
+        if not self.self_calibrates:
+            return wall.direct
+        return calibrate(phasor, wall, wiggling=self.reference == "self+wiggling").direct
 
     def apply(self, phasor: Any, reference: Any = None) -> Any:
         """Input channels (..., C, H, W) of phasors (..., H, W, F).

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from itof import direct_phasors
 from itof.wall.expected_wall import ExpectedWall
+from model.network.channels import ChannelError
 from scenegen import Dataset, camera_axes, wall_normal
 from scenegen.contract import STRICT, FieldOfView, Vector
 
@@ -56,17 +57,13 @@ class WallView:
 
         Raises
         ------
-        ValueError : the camera is in the plane of the wall.
+        ChannelError : the camera is in the plane of the wall.
         """
-        return ExpectedWall.of_camera(
-            direct,
-            frequencies_hz,
-            self.horizontal_fov_deg,
-            self.camera_axes,
-            self.camera_location_m,
-            self.wall_point_m,
-            self.wall_normal,
-        )
+        pose = (self.camera_axes, self.camera_location_m, self.wall_point_m, self.wall_normal)
+        try:
+            return ExpectedWall.of_camera(direct, frequencies_hz, self.horizontal_fov_deg, *pose)
+        except ValueError as error:
+            raise ChannelError(f"the relay wall cannot be where it is: {error}") from None
 
 
 def wall_view(dataset: Dataset) -> WallView:

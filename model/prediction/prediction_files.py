@@ -20,6 +20,7 @@ from model.prediction.measurement_files import Measurement, MeasurementError
 from model.prediction.pointclouds import object_points, write_point_cloud
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.prediction.wall_figure import wall_figure
+from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
 from scenegen import NightError, PathLike, whole_folder, write_text
 from scenegen.files.own_files import hashes_of, refuse_other_files
@@ -108,7 +109,7 @@ def predict_file(
 
     Parameters
     ----------
-    run : run folder of the trained network.
+    run : run folder of the trained network, or the name of one that comes with the program.
     rescale : as in `Predictor.predict`; None rescales unless the file is in the unit of rendered scenes.
     force : predict also from a measurement that is not that of the run's relay wall.
 
@@ -121,7 +122,7 @@ def predict_file(
     PredictionError : `out` contains anything but an earlier prediction.
     RunError, DeviceError : the run or the device cannot be used.
     """
-    run, measurement_file, out = Path(run), Path(measurement_file), Path(out).resolve()
+    run, measurement_file, out = run_folder(run), Path(measurement_file), Path(out).resolve()
     _refuse_other_contents(out)
     predictor = load(run, device)
     measured = fitting_measurement(predictor, measurement_file, run)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -14,9 +13,11 @@ from torch import Tensor
 from itof import DepthMap, amplitude, join_components
 from itof.wall.expected_wall import ExpectedWall
 from model.device import choose_device, plain_memory_errors
+from model.network.channels import ChannelError
 from model.network.readout import Readout
 from model.network.unet import UNet
 from model.run_folder.run_config import RunConfig, RunError, read_config
+from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
 from model.settings import DeviceName
 from scenegen import NightError, PathLike
@@ -54,7 +55,7 @@ class Predictor:
         """
         try:
             return self.config.geometry.expected_wall(self.reference, self.config.inputs.frequencies_hz)
-        except ValueError as error:
+        except ChannelError as error:
             raise RunError(f"the geometry of the run cannot be: {error}") from None
 
     def predict(
@@ -130,7 +131,7 @@ class Predictor:
     def _channels(
         self, images: NDArray[np.generic], reference: NDArray[np.generic] | None
     ) -> NDArray[np.float32]:
-        with np.errstate(over="ignore"):  # the check below finds overflows
+        with np.errstate(over="ignore", invalid="ignore"):  # the check below finds overflows
             inputs, known = self.config.inputs, reference
             if known is not None and inputs.uses_residual:
                 known = inputs.reference_for(images, replace(self.wall, direct=known))
@@ -189,14 +190,18 @@ def read_output(
 
 
 def load(run: PathLike, device: DeviceName = "auto") -> Predictor:
-    """Load a trained network from its run folder, with the weights of its best epoch.
+    """Load a trained network, with the weights of its best epoch.
+
+    Parameters
+    ----------
+    run : run folder, or the name of a network that comes with the program (`shipped_runs`).
 
     Raises
     ------
     RunError : the folder is missing or not a run, or its files are damaged or do not fit together.
     DeviceError : the device does not exist.
     """
-    folder = Path(run)
+    folder = run_folder(run)
     config = read_config(folder)
     chosen = choose_device(device)
     with plain_memory_errors():

@@ -24,6 +24,7 @@ from model.report.refusals import (
 from model.report.report_files import write_files
 from model.report.results import Report
 from model.report.showcase import choose, choose_for_figures
+from model.run_folder.shipped import run_folder
 from model.settings import DeviceName, MaskSource
 from scenegen import Dataset, PathLike, Split, whole_folder
 
@@ -72,7 +73,7 @@ def evaluate(
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     DatasetError : the dataset lacks one of `scenes`, or the description of a scene is missing or damaged.
     """
-    run, out = Path(run), Path(out).resolve()  # `whole_folder` needs a name; "." has none
+    run, out = run_folder(run), Path(out).resolve()  # `whole_folder` needs a name; "." has none
     refuse_other_contents(out)
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):
         raise EvaluationError(f"a mask threshold is an amplitude above 0, got {mask_threshold:g}")

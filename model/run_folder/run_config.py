@@ -21,6 +21,7 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.network.wall_view import WallView
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
+from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings import MAY_CHANGE_ON_RESUME, NETWORK_SETTINGS, READOUT_SETTINGS, TrainSettings
 from scenegen import NightError, PathLike, whole_file
 from scenegen.contract import STRICT, Positive, checked
@@ -35,6 +36,7 @@ _REPAIR: Final = "take the file from a copy of the run, or train again"
 _LATER: Final = ("reference", "freeze", "target", "min_delta", "ground_truth", "average_flip")
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
+Metres = Annotated[float, Field(gt=0, le=1000)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
@@ -96,9 +98,9 @@ class RunConfig:
     run_id: Sha256 | None = None
     schema_version: Literal[2, 3] = RUN_SCHEMA
     background_per_object: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
-    object_depth_m: Annotated[
-        tuple[Positive, Positive] | None, Field(exclude_if=lambda value: value is None)
-    ] = None
+    object_depth_m: Annotated[tuple[Metres, Metres] | None, Field(exclude_if=lambda value: value is None)] = (
+        None
+    )
     started_from: Annotated[StartingWeights | None, Field(exclude_if=lambda value: value is None)] = None
 
     def __post_init__(self) -> None:
@@ -171,7 +173,8 @@ def read_config(folder: Path) -> RunConfig:
     """
     file = folder / CONFIG_FILE
     if not folder.is_dir():
-        raise RunError(f"there is no folder {folder}: train a network with night-train")
+        others = f", or give one of {', '.join(shipped_runs())}" if shipped_runs() else ""
+        raise RunError(f"there is no folder {folder}: train a network with night-train{others}")
     if not file.is_file():
         raise RunError(f"{folder} is no training run (it has no run.json): train one with night-train")
     try:
@@ -223,13 +226,13 @@ def run_settings(folder: PathLike) -> dict[str, Any]:
 def fine_tuning_settings(folder: PathLike) -> dict[str, Any]:
     """The settings that a training takes over if it starts from the weights of this run, as plain data.
 
-    They are its network and input, which must stay, and its readout, which may be changed.
+    They are its network and input, which must stay, and its readout and loss, which may be changed.
 
     Raises
     ------
     RunError : as in `read_config`.
     """
-    config = read_config(Path(folder))
+    config = read_config(run_folder(folder))
     settings = {name: getattr(config.settings, name) for name in (*NETWORK_SETTINGS, *READOUT_SETTINGS)}
     return settings | {"frequencies_hz": config.inputs.frequencies_hz}
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from model.device import plain_memory_errors
 from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
+from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
 from model.settings import NETWORK_SETTINGS, TrainSettings
 from scenegen import Dataset
@@ -62,6 +63,7 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
     ------
     RunError : the run is damaged, has no weights, or has another network or input than `settings`.
     """
+    run = run_folder(run)
     config = read_config(run)
     _refuse_other_network(config, settings, run)
     with plain_memory_errors():
