@@ -9,6 +9,7 @@ from night_commands import refusal
 from training_runs import SEEING, assert_same_end, config_of, settings, train_on_one_thread
 from wall_measurements import farther
 
+from model.data.channel_scaling import fit_input_spec
 from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
 from model.prediction.measurement_files import MeasurementError
@@ -154,3 +155,8 @@ def test_a_camera_in_the_plane_of_the_wall_is_refused(self_run):
     broken = replace(predictor, config=replace(predictor.config, geometry=inside))
     with pytest.raises(RunError, match="the geometry of the run cannot be"):
         _ = broken.wall
+
+
+def test_channels_that_calibrate_themselves_cannot_be_scaled_without_camera_and_wall(shards):
+    with pytest.raises(ValueError, match="the reference self needs the camera and the wall"):
+        fit_input_spec("residual", shards, shards.rows("train"), reference="self")

@@ -27,6 +27,7 @@ from itof.wall.wall_search import found, locate_wall
 MISFIT_NOTED_RAD: Final = 4e-3  # 1.6 mm of wall at 60 MHz; bright hidden light looks like 2.7 mrad
 MISFIT_REFUSED_RAD: Final = 12.5e-3  # 5 mm at 60 MHz: predictions are then worse than none (docs/training.md)
 # For a self-calibrated run. Its channels do not depend on the wall's place, but hidden light falls elsewhere.
+# Chosen by the size of the object, not measured.
 CALIBRATED_NOTED_M: Final = 0.02
 CALIBRATED_REFUSED_M: Final = 0.2
 SCATTER_NOTED_RAD: Final = 0.03  # twice that of a valid measurement with 1 % of noise and bright hidden light

@@ -42,6 +42,7 @@ def fit_input_spec(
     ------
     ChannelError : there are no scenes, they hold no light or numbers that are too large, or a frequency was
         not rendered.
+    ValueError : `reference` needs `view`.
     """
     if not rows:
         raise ChannelError(
@@ -53,6 +54,8 @@ def fit_input_spec(
     unscaled = InputSpec(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference)
     places = unscaled.places(available)
     direct = shards.reference[..., places]
+    if unscaled.self_calibrates and view is None:
+        raise ValueError(f"the reference {reference} needs the camera and the wall: give view")
     wall = view.expected_wall(direct, chosen) if view and unscaled.self_calibrates else None
     amplitudes, brightest, means, squares = [], 0.0, [], []
     for phasor in _phasors(shards, rows):

@@ -119,8 +119,8 @@ class InputSpec:
     def reference_for(self, phasor: Any, wall: ExpectedWall) -> Any:
         """The direct return that `apply` needs for these phasors (..., H, W, F).
 
-        That of the wall, (H, W, F); with the references ``self`` it is moved to the wall and the phases that
-        each image shows (`itof.wall.self_calibration`), (..., H, W, F).
+        That of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall and phases
+        that each image shows (`itof.wall.self_calibration`), (..., H, W, F).
         """
         if not self.self_calibrates:
             return wall.direct
