@@ -32,6 +32,7 @@ from model.run_folder.run_config import RunConfig
 
 FREQUENCIES_HZ = (20e6, 50e6, 60e6)
 VIEW = WallView(60.0, ((1, 0, 0), (0, 1, 0), (0, 0, 1)), (0, 0, 0), (0, 0, 2), (0, 0, -1))
+OBJECT_DEPTH_M = (2.6, 0.2)  # mean and standard deviation, about as in the preset `paper`
 SIZES = ("320x240", "80x60")
 WARM_UP = 5  # calls before the measurement: libraries choose and compile kernels, memory is taken
 LEAST_CALLS = 20  # for the 95th percentile
@@ -90,6 +91,7 @@ def untrained(preset: str, width: int, height: int, device: str) -> Predictor:
     config = RunConfig(
         *(settings, inputs, frequencies_hz[0], VIEW, width, height, "", "", ""),
         background_per_object=30.0,
+        object_depth_m=OBJECT_DEPTH_M if settings.target == "mask+depth" else None,
     )
     chosen = choose_device(device)
     return Predictor(config, config.network(torch.Generator().manual_seed(0)).to(chosen), chosen)

@@ -35,7 +35,15 @@ SCHEDULES: tuple[Schedule, ...] = ("constant", "cosine")
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
 # A run that starts from the weights of another one has its network and input, and by default its readout and
 # the loss that goes with it.
-NETWORK_SETTINGS = ("channels", "reference", "amplitude_divisor", "frequencies_hz", "width", "target")
+NETWORK_SETTINGS = (
+    "channels",
+    "reference",
+    "amplitude_divisor",
+    "frequencies_hz",
+    "width",
+    "block",
+    "target",
+)
 READOUT_SETTINGS = ("loss", "mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -60,6 +68,8 @@ class TrainSettings:
     """The amplitude channel is divided by this amplitude of the training scenes; the paper: to [0, 1]."""
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
     """Channels of the U-Net's first level."""
+    block: Annotated[int, Field(ge=1, le=64)] = 1
+    """Pixels per side of a position of the U-Net: 2 needs a quarter of the time; the paper: 1."""
     target: Target = "components"
     """What the network predicts: Re and Im of the mirrored scene, its depth in metres directly, or the
     probability and the depth of an object pixel. With depth, error and mask are those of the depth, whatever
@@ -87,6 +97,8 @@ class TrainSettings:
     """Components of the output below this become 0 before mask and depth are taken."""
     learning_rate: Positive = 1e-4
     """Step size of Adam."""
+    train_scenes: WholeCount | None = None
+    """Train on the first so many training scenes only, for learning curves; by default on all."""
     batch_size: WholeCount = 32
     """Scenes of one training step, shared by all processes of a run."""
     schedule: Schedule = "constant"

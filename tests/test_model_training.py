@@ -10,6 +10,8 @@ from synthetic_dataset import write_synthetic_dataset
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from training_runs import before_each_network, checkpoint, settings
 
+from model.data.channel_scaling import fit_input_spec
+from model.data.shards import open_shards
 from model.device import DeviceError, choose_device
 from model.prediction.predictor import load
 from model.run_folder.history import read_history
@@ -28,6 +30,20 @@ def test_the_seed_decides_the_weights(closed_form_scenes, finished_run, tmp_path
     weights = (finished_run / "best.safetensors").read_bytes()
     assert (tmp_path / "same" / "best.safetensors").read_bytes() == weights
     assert (tmp_path / "other" / "best.safetensors").read_bytes() != weights
+
+
+def test_a_training_on_the_first_scenes_sees_no_others(closed_form_scenes, tmp_path):
+    shards = open_shards(closed_form_scenes)
+    count = len(shards.rows("train")) - 2
+    some = settings(train_scenes=count, max_epochs=1)
+    train(closed_form_scenes, tmp_path / "run", some)
+    config = load(tmp_path / "run", "cpu").config
+    own = fit_input_spec(some.channels, shards, shards.rows("train")[:count], reference=some.reference)
+    assert config.inputs == own
+    steps = checkpoint(tmp_path / "run")["optimisation"]["steps"]
+    assert steps == -(-count // some.batch_size)
+    with pytest.raises(TrainingError, match=f"train_scenes is 500, but .* has {count + 2} training scenes"):
+        train(closed_form_scenes, tmp_path / "more", settings(train_scenes=500))
 
 
 def test_training_stops_when_patience_runs_out(closed_form_scenes, tmp_path):

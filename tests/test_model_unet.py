@@ -40,6 +40,27 @@ def test_padding_changes_nothing_where_the_receptive_field_does_not_reach_it():
     torch.testing.assert_close(network(image), network(by_hand)[..., 1:-1, 2:-2], rtol=0, atol=1e-12)
 
 
+def test_blocks_give_pixels_back_and_pad_to_whole_blocks():
+    network = UNet(2, 4, block=2, generator=seeded()).double()
+    image = torch.randn(1, 2, 30, 44, generator=seeded()).double()
+    by_hand = torch.nn.functional.pad(image, (10, 10, 1, 1), mode="replicate")  # multiples of 32
+    assert network(image).shape == (1, 2, 30, 44)
+    torch.testing.assert_close(network(image), network(by_hand)[..., 1:-1, 10:-10], rtol=0, atol=1e-12)
+    # What follows the U-Net alone tells the pixels of a block apart: with the same weights for all four
+    # pixels of a block, and a head that sees single pixels, they are alike.
+    with torch.no_grad():
+        network.head[0].weight[:] = network.head[0].weight[::4].repeat_interleave(4, dim=0)
+        network.head[0].bias[:] = network.head[0].bias[::4].repeat_interleave(4)
+        for layer in network.head[3::2]:
+            centre = layer.weight[..., 1:2, 1:2].clone()
+            layer.weight.zero_()
+            layer.weight[..., 1:2, 1:2] = centre
+    output = network(by_hand)
+    blocks = output.unflatten(-1, (-1, 2)).unflatten(-3, (-1, 2))  # (1, 2, H/2, 2, W/2, 2)
+    torch.testing.assert_close(blocks, blocks[..., :1, :, :1].expand_as(blocks), rtol=0, atol=1e-12)
+    assert float(output.detach().std()) > 0
+
+
 def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive():
     first, second = (UNet(12, 8, generator=seeded(3)) for _ in range(2))
     other = UNet(12, 8, generator=seeded(4))
@@ -53,8 +74,9 @@ def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive():
 
 
 def test_impossible_networks_are_refused():
-    with pytest.raises(ValueError, match="at least one channel"):
-        UNet(0)
+    for wrong in ({"input_channels": 0}, {"width": 0}, {"block": 0}):
+        with pytest.raises(ValueError, match="at least one channel"):
+            UNet(**{"input_channels": 3} | wrong)
 
 
 def test_the_network_learns_one_batch_by_heart():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import torch
@@ -12,6 +13,8 @@ from torch import Tensor
 from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
 from model.network.channels import InputSpec
+
+_IMAGES_AT_ONCE: Final = 16  # a self-calibration needs about 50 times the memory of its phasors
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,33 @@ class BatchMaker:
         return cls(inputs, places, seen.converted(lambda array: torch.from_numpy(array).to(device)))
 
     def upload(self, block: RowBlock) -> RowBlock:
-        """A copy of `block` on the device, as tensors; its phasors are those of the network's frequencies."""
+        """A copy of `block` on the device, as tensors, with the reference of every image.
+
+        Its phasors are those of the network's frequencies. The reference is that of the phasors as rendered:
+        it takes longer than a training step, and noise of the augmentation would hardly change it.
+        """
         count = block.phasors.shape[1] // 2
         chosen = [first + place for first in (0, count) for place in self.places]
         arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": block.phasors[:, chosen]}
         device = self.wall.rays.device
-        return RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
+        rows = RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
+        return replace(rows, reference=self._references(rows)) if self.inputs.uses_residual else rows
+
+    @property
+    def reference_bytes(self) -> int:
+        """Memory of an image's reference, which `upload` adds to its row, bytes."""
+        return int(self.wall.direct.nbytes) if self.inputs.uses_residual else 0
+
+    def _references(self, rows: RowBlock) -> Tensor:
+        """(n, H, W, F) complex64 reference of uploaded rows."""
+        found = torch.empty(
+            (len(rows), *self.wall.direct.shape), dtype=torch.complex64, device=self.wall.rays.device
+        )
+        for start in range(0, len(rows), _IMAGES_AT_ONCE):
+            some = slice(start, start + _IMAGES_AT_ONCE)
+            measured = self.measured(replace(rows, phasors=rows.phasors[some]))
+            found[some] = self.inputs.reference_of_image(measured, self.wall)
+        return found
 
     def measured(self, rows: RowBlock) -> Tensor:
         """(N, H, W, F) complex64 phasors of uploaded rows."""
@@ -76,15 +100,18 @@ class BatchMaker:
         return phasor
 
     def batch(self, rows: RowBlock, phasor: Tensor | None = None) -> Batch:
-        """Input channels and ground truth of uploaded rows.
+        """Input channels and ground truth of uploaded rows; rows without a reference get that of `phasor`.
 
         Parameters
         ----------
         phasor : (N, H, W, F) complex; replaces the phasors of `rows` if it is given.
         """
         measured = self.measured(rows) if phasor is None else phasor
+        known = rows.reference
+        if known is None and self.inputs.uses_residual:
+            known = self.inputs.reference_of_image(measured, self.wall)
         return Batch(
-            channels=self.inputs.apply(measured, self.inputs.reference_for(measured, self.wall)),
+            channels=self.inputs.apply(measured, known, is_weighted=True),
             target=rows.target,
             radial_depth_m=rows.radial_depth_m,
             mask=rows.mask.float(),

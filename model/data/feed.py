@@ -83,6 +83,7 @@ def window_rows(
     memory_bytes: int | None = None,
     device: torch.device = torch.device("cpu"),  # noqa: B008  (immutable)
     sharers: int = 1,
+    added_bytes: int = 0,
 ) -> int:
     """Number of rows to hold at once.
 
@@ -94,9 +95,10 @@ def window_rows(
     memory_bytes : memory for the rows; None for MEMORY_PART of the memory of machine or GPU.
     device : device that holds the rows.
     sharers : number of processes that share the machine's memory.
+    added_bytes : memory that the preparation of a row adds to it.
     """
     allowed = int(MEMORY_PART * memory_of(device, sharers)) if memory_bytes is None else memory_bytes
-    row_bytes = shards.manifest.layout.row_bytes
+    row_bytes = shards.manifest.layout.row_bytes + added_bytes
     windows = 2  # the current one and the next
     return row_count if row_count * row_bytes <= allowed else allowed // (windows * row_bytes)
 

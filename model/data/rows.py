@@ -58,6 +58,8 @@ class RowBlock:
     target : (n, 2, H, W) float32, Re and Im of the mirrored scene at the first frequency.
     radial_depth_m : (n, H, W) float32, metres, 0 on background.
     mask : (n, H, W) uint8, 0 or 1.
+    reference : (n, H, W, F) complex64, direct return of every image with its weights
+        (`model.network.channels`), which `model.data.batches` adds; None as read from the shards.
     """
 
     rows: tuple[int, ...]
@@ -65,6 +67,7 @@ class RowBlock:
     target: Any
     radial_depth_m: Any
     mask: Any
+    reference: Any = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -76,13 +79,17 @@ class RowBlock:
     def take(self, rows: Sequence[int]) -> RowBlock:
         """A copy of some rows, in the order of `rows`."""
         chosen = [self._places[row] for row in rows]
-        return RowBlock(tuple(rows), **{name: getattr(self, name)[chosen] for name in ARRAYS})
+        return RowBlock(tuple(rows), **{name: getattr(self, name)[chosen] for name in self._held})
 
     def joined(self, other: RowBlock) -> RowBlock:
         """A block with these rows, followed by the rows of `other`."""
         xp = array_namespace(self.phasors)
-        arrays = {name: xp.concat([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
+        arrays = {name: xp.concat([getattr(self, name), getattr(other, name)]) for name in self._held}
         return RowBlock(self.rows + other.rows, **arrays)
+
+    @property
+    def _held(self) -> tuple[str, ...]:
+        return ARRAYS if self.reference is None else (*ARRAYS, "reference")
 
     @cached_property
     def _places(self) -> dict[int, int]:

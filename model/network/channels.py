@@ -10,7 +10,7 @@ from array_api_compat import array_namespace, device, is_array_api_obj
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from itof import SubpixelWeights, network_channels, residual_channels
+from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from model.settings import Channels, Reference
@@ -126,7 +126,18 @@ class InputSpec:
             return wall.direct
         return calibrate(phasor, wall, wiggling=self.reference == "self+wiggling").direct
 
-    def apply(self, phasor: Any, reference: Any = None) -> Any:
+    def reference_of_image(self, phasor: Any, wall: ExpectedWall) -> Any:
+        """`reference_for` these phasors (..., H, W, F), with the weights that their amplitudes give it.
+
+        (..., H, W, F) complex, for `apply` with ``is_weighted``. Noise of relative size σ in the amplitudes
+        changes its phase by less than σ / 40 (`itof.weighted_reference`).
+        """
+        known = self.reference_for(phasor, wall)
+        if self.subpixel_weights == "uniform":
+            return known
+        return weighted_reference(known, array_namespace(phasor).abs(phasor[..., 0]))
+
+    def apply(self, phasor: Any, reference: Any = None, *, is_weighted: bool = False) -> Any:
         """Input channels (..., C, H, W) of phasors (..., H, W, F).
 
         Parameters
@@ -135,6 +146,7 @@ class InputSpec:
             array API. The channels are an array of the same library on the same device.
         reference : (H, W, F) complex direct return of the relay wall, or (..., H, W, F), one for each image,
             as `reference_for` gives it; only the residual channels need it.
+        is_weighted : the reference is that of `reference_of_image`.
 
         Raises
         ------
@@ -150,7 +162,7 @@ class InputSpec:
         if self.uses_residual:
             if reference is None:
                 raise ValueError(f"channels {self.channels} need the relay wall's direct return as reference")
-            residual = residual_channels(z, reference, self.subpixel_weights)
+            residual = residual_channels(z, reference, "uniform" if is_weighted else self.subpixel_weights)
             scale = xp.asarray(self.residual_scale, dtype=xp.float32, device=device(z))
             parts.append(residual / scale[:, None, None])  # (2F - 1, 1, 1)
         return xp.concat(parts, axis=-3)

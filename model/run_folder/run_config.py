@@ -33,7 +33,16 @@ _MARK: Final = ',\n  "sha256": "'
 _END: Final = '"\n}\n'
 _MOST_BYTES: Final = 2**20
 _REPAIR: Final = "take the file from a copy of the run, or train again"
-_LATER: Final = ("reference", "freeze", "target", "min_delta", "ground_truth", "average_flip")
+_LATER: Final = (
+    "reference",
+    "freeze",
+    "target",
+    "min_delta",
+    "ground_truth",
+    "average_flip",
+    "block",
+    "train_scenes",
+)
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
 Metres = Annotated[float, Field(gt=0, le=1000)]
@@ -134,6 +143,7 @@ class RunConfig:
             self.inputs.channel_count,
             self.settings.width,
             output_channels=self.readout.output_channels,
+            block=self.settings.block,
             generator=generator,
         )
 

@@ -41,11 +41,11 @@ from model.training.refusals import (
     naming_compiler,
     naming_disk,
     naming_memory,
-    refuse_empty_splits,
+    refuse_missing_scenes,
     refuse_start,
     refuse_untrained_layers,
 )
-from model.training.state import TrainingState
+from model.training.state import TrainingState, rows_of
 from scenegen import Dataset, PathLike, remove_leftovers
 from scenegen.progress import showing_progress
 
@@ -135,7 +135,7 @@ def _train(
     with processes.first_one_first():
         shown = settings.progress and processes.is_first
         shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
-    refuse_empty_splits(shards, dataset)
+    refuse_missing_scenes(shards, dataset, settings.train_scenes)
     config = _configure(dataset, shards, settings, before, start)
     change = changed_setting(before, config) if before else None
     if change:
@@ -165,7 +165,7 @@ def _configure(
     dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None, start: Start | None
 ) -> RunConfig:
     """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
-    manifest, rows = shards.manifest, shards.rows("train")
+    manifest, rows = shards.manifest, rows_of(shards, "train", settings)
     try:
         if before:
             inputs = before.inputs

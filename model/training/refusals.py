@@ -52,13 +52,19 @@ def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> Non
         )
 
 
-def refuse_empty_splits(shards: Shards, dataset: Dataset) -> None:
-    """`TrainingError` if every scene of a split failed to render."""
+def refuse_missing_scenes(shards: Shards, dataset: Dataset, wanted: int | None) -> None:
+    """`TrainingError` if every scene of a split failed to render, or fewer than `wanted` are for training."""
     for split in ("train", "validation"):
         if not shards.rows(split):
             raise TrainingError(
                 f"no {split} scene of {dataset.root} could be rendered: see night-render status"
             )
+    count = len(shards.rows("train"))
+    if wanted is not None and wanted > count:
+        raise TrainingError(
+            f"train_scenes is {wanted}, but {dataset.root} has {count} training scenes: make more scenes, or "
+            "give a smaller number"
+        )
 
 
 def _is_free(out: Path) -> bool:

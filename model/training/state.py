@@ -18,6 +18,7 @@ from model.data.shards import Shards
 from model.run_folder.history import HISTORY_FILE, EpochRecord, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
+from model.settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, save_checkpoint
 from model.training.checkpoint_contents import (
     checked_history,
@@ -77,9 +78,12 @@ class TrainingState:
         self.saved_at = time.monotonic()
 
     def _feed(self, split: Split, memory_bytes: int | None) -> Feed:
-        rows = self.shards.rows(split)
+        rows = rows_of(self.shards, split, self.settings)
         sharers = processes_of_this_machine()
-        window = window_rows(self.shards, len(rows), memory_bytes, self.processes.device, sharers)
+        window = window_rows(
+            *(self.shards, len(rows), memory_bytes, self.processes.device, sharers),
+            added_bytes=self.maker.reference_bytes,
+        )
         # The window decides the order of the rows, which must be the same in all processes.
         return Feed(self.shards, rows, self.processes.smallest(window), self.maker.upload)
 
@@ -192,3 +196,9 @@ class TrainingState:
                 feed.window_rows,
             )
         self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self.maker.upload)
+
+
+def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:
+    """Rows of a split that a training uses, in ascending order."""
+    rows = list(shards.rows(split))
+    return rows[: settings.train_scenes] if split == "train" else rows
