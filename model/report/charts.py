@@ -119,6 +119,40 @@ def roundness_chart(report: Report) -> Chart:
     return Chart("roundness", x_label, y_label, tuple(parts))
 
 
+def uncertainty_charts(report: Report) -> tuple[Chart, ...]:
+    """Observed against predicted probability, and the error of each scene against the one that was expected.
+
+    None for a network without probabilities.
+    """
+    reliability = report.reliability
+    if reliability is None:
+        return ()
+    pairs = [(s.expected_mae_m or 0.0, s.prediction.depth_mae_m) for s in report.scenes]
+    expected, actual = (tuple(100 * pair[side] for pair in pairs) for side in (0, 1))
+    most = max(*expected, *actual)
+    return (
+        Chart(
+            "reliability",
+            "predicted probability of an object pixel",
+            "part that shows the object",
+            (
+                Curve("as predicted", "baseline", (0.0, 1.0), (0.0, 1.0), width_pt=1.2),
+                Curve("pixels in 20 bins", "prediction", reliability.predicted, reliability.observed, "dots"),
+            ),
+        ),
+        Chart(
+            "expected_mae",
+            "MAE that the network expects, cm",
+            "MAE over all pixels, cm",
+            (
+                Curve("as expected", "baseline", (0.0, most), (0.0, most), width_pt=1.2),
+                Curve(f"{len(pairs)} scenes", "prediction", expected, actual, "points"),
+                Curve("mean", "truth", (float(np.mean(expected)),), (float(np.mean(actual)),), "rings"),
+            ),
+        ),
+    )
+
+
 def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
     """Mean mIoU and mean MAE against the mask threshold."""
     return (

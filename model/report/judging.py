@@ -28,6 +28,7 @@ from model.prediction.predictor import BATCH, Predictor
 from model.report.calibration import SWEEP, Calibration, ThresholdCurve, ThresholdSweep, reread
 from model.report.groups import group_tables
 from model.report.refusals import EvaluationError
+from model.report.reliability import ReliabilityCount
 from model.report.results import Report
 from model.report.scene_result import SceneResult, judge_scene
 from model.report.showcase import ShownScene
@@ -85,13 +86,19 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
     EvaluationError : no scene of the split is rendered.
     """
     sweep = ThresholdSweep(split, bench.thresholds, bench.readout)
+    reliability = ReliabilityCount()
+    has_probability = bench.predictor.config.settings.target == "mask+depth"
     results: list[SceneResult] = []
     for block, predictions in bench.predictions(split):
         sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
+        reliability.add(predictions.phasor, block.mask)
         for index, scene in enumerate(bench.shards.ids(block.rows)):
             truth_m, mask = block.radial_depth_m[index], block.mask[index]
             prediction = predictions[index]
-            results.append(judge_scene(bench.dataset.scene(scene), prediction, truth_m, mask))
+            result = judge_scene(
+                *(bench.dataset.scene(scene), prediction, truth_m, mask), has_probability=has_probability
+            )
+            results.append(result)
             points_gt_m = object_points(truth_m, mask, bench.fov_deg)
             points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, bench.fov_deg)
             _write_clouds(clouds, scene, points_gt_m, points_pred_m)
@@ -108,6 +115,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
         no_object=summarise([r.no_object for r in results]),
         groups=group_tables(results, (location.x, location.y, location.z)),
         calibration=_calibration(bench, sweep.curve()),
+        reliability=reliability.curve() if has_probability else None,
     )
 
 

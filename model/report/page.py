@@ -19,7 +19,13 @@ from plotly.offline import get_plotlyjs
 from model.prediction.figures import write_figure
 from model.report.calibration import Calibration
 from model.report.chart_png import chart_figure
-from model.report.charts import calibration_curves, distributions, roundness_chart, training_curves
+from model.report.charts import (
+    calibration_curves,
+    distributions,
+    roundness_chart,
+    training_curves,
+    uncertainty_charts,
+)
 from model.report.report_files import GROUP_HEAD, SUMMARY_HEAD, group_texts, summary_rows
 from model.report.report_scenes import cloud_colours, clouds_picture, pictures, point_clouds, scenes_picture
 from model.report.results import PAPER, Report
@@ -59,6 +65,7 @@ def write_page(
     charts = {
         "distributions": distributions(report),
         "roundness": (roundness_chart(report),),
+        "uncertainty": uncertainty_charts(report),
         "thresholds": calibration_curves(report.calibration),
         "training": training_curves(read_history(run)),
     }
@@ -89,6 +96,7 @@ def write_page(
         groups=_groups(report),
         share_column=GROUP_HEAD.index("MAE, cm"),
         threshold=_threshold(report.calibration),
+        calibration_error=report.reliability.calibration_error if report.reliability else None,
         configuration=_configuration(config, origin, report),
     )
     write_text(out / "index.html", content + "\n")

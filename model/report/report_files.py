@@ -78,6 +78,8 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         "no_object": asdict(report.no_object),
         "object_distance_m": _plain(report.object_distance_m),
         "relative_mae": {who: _plain(each) for who, each in report.relative_mae.items()},
+        "expected_mae_m": _plain(report.expected_mae_m),
+        "reliability": report.reliability.as_data() if report.reliability else None,
         "roundness": {who: _plain(each) for who, each in report.roundness.items()},
         "accuracy_histogram": asdict(report.accuracy_histogram),
         "paper": PAPER,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from model.network.metrics import Statistics, Summary
 from model.report.calibration import Calibration
 from model.report.groups import GroupTable
+from model.report.reliability import Reliability
 from model.report.scene_result import SceneResult
 from model.report.table_one import AccuracyHistogram, accuracy_histogram
 from scenegen import Split
@@ -52,6 +53,7 @@ class Report:
     prediction, no_object : statistics over these scenes, of the network and of the baseline "no object".
     groups : averages by shape, roughness, position and size.
     calibration : averages for other mask thresholds, and the threshold of the evaluation.
+    reliability : of the probabilities; None if the network predicts none.
     """
 
     split: Split
@@ -60,11 +62,17 @@ class Report:
     no_object: Summary
     groups: tuple[GroupTable, ...]
     calibration: Calibration
+    reliability: Reliability | None = None
 
     @property
     def ranked(self) -> list[SceneResult]:
         """The scenes by accuracy, the best first."""
         return sorted(self.scenes, key=lambda result: -result.prediction.accuracy)
+
+    @property
+    def expected_mae_m(self) -> Statistics | None:
+        """MAE that the network expects of the scenes, metres; None if it predicts no probabilities."""
+        return _present([scene.expected_mae_m for scene in self.scenes])
 
     @property
     def accuracy_histogram(self) -> AccuracyHistogram:
@@ -123,6 +131,8 @@ class Report:
             if isinstance(paper, dict):
                 yield measure, "paper, own data", _texts(Statistics(**paper, count=0), measure.scale)
             if measure.field == "depth_mae_m":
+                if self.expected_mae_m:
+                    yield measure, "expected by the network", _texts(self.expected_mae_m, measure.scale)
                 yield from self._by_distance()
 
         whose = ("prediction", "truth", "prediction - truth")
@@ -153,6 +163,7 @@ def scene_numbers(result: SceneResult) -> dict[str, str | float | None]:
         "roundness_gt": result.roundness_gt,
         "roundness_pred": result.roundness_pred,
         "no_object_mae_m": result.no_object.depth_mae_m,
+        "expected_mae_m": result.expected_mae_m,
     }
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from model.network.metrics import ImageMetrics, image_metrics, no_object_metrics
+from model.report.reliability import expected_mae_m
 from model.report.roundness import disc_iou
 from scenegen import Scene
 
@@ -24,6 +25,7 @@ class SceneResult:
     object_pixels : number of pixels that show the object in the ground truth.
     object_distance_m : mean radial depth of these pixels in the ground truth, metres; None if there are none.
     roundness_gt, roundness_pred : `disc_iou` of the masks of ground truth and prediction; None if empty.
+    expected_mae_m : MAE over all pixels that the network expects; None if it predicts no probabilities.
     """
 
     scene: str
@@ -37,6 +39,7 @@ class SceneResult:
     no_object: ImageMetrics
     roundness_gt: float | None
     roundness_pred: float | None
+    expected_mae_m: float | None = None
 
     def by_distance(self, metrics: ImageMetrics) -> float | None:
         """MAE over all pixels as a part of the object's mean distance; None if the truth shows no object.
@@ -47,9 +50,19 @@ class SceneResult:
 
 
 def judge_scene(
-    scene: Scene, prediction: DepthMap, radial_depth_gt_m: NDArray[np.float32], mask_gt: NDArray[np.uint8]
+    scene: Scene,
+    prediction: DepthMap,
+    radial_depth_gt_m: NDArray[np.float32],
+    mask_gt: NDArray[np.uint8],
+    *,
+    has_probability: bool = False,
 ) -> SceneResult:
-    """Metrics of one (H, W) prediction; true radial depth in metres and true mask are (H, W) too."""
+    """Metrics of one (H, W) prediction; true radial depth in metres and true mask are (H, W) too.
+
+    Parameters
+    ----------
+    has_probability : the amplitude of the predicted phasor is the probability of the object.
+    """
     on_object_m = radial_depth_gt_m[mask_gt > 0]  # (n,)
     return SceneResult(
         scene=scene.id,
@@ -63,4 +76,5 @@ def judge_scene(
         no_object=no_object_metrics(radial_depth_gt_m, mask_gt),
         roundness_gt=disc_iou(mask_gt),
         roundness_pred=disc_iou(prediction.mask),
+        expected_mae_m=expected_mae_m(prediction) if has_probability else None,
     )

@@ -1,0 +1,88 @@
+"""Reliability of probabilities and the error that they let expect: closed forms, and in the report."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from training_runs import train_on_one_thread
+
+from itof import DepthMap, phasor_of_return
+from model.network.metrics import image_metrics
+from model.prediction.predictor import load
+from model.report.charts import uncertainty_charts
+from model.report.evaluation import evaluate
+from model.report.reliability import Reliability, ReliabilityCount, expected_mae_m
+
+FREQUENCY_HZ = 20e6
+PROBABLE = {"target": "mask+depth", "loss": "bce+iou+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def test_the_curve_counts_the_pixels_of_every_probability():
+    #           probability, pixels, of which show the object
+    groups = [(0.0, 1000, 3), (0.32, 100, 32), (0.82, 50, 10), (1.0, 200, 190)]
+    phasor = np.concatenate([np.full(n, p * np.exp(1j)) for p, n, _ in groups])
+    mask = np.concatenate([np.arange(n) < shown for _, n, shown in groups])
+    order = np.random.default_rng(0).permutation(len(mask))
+    count = ReliabilityCount()
+    for part in np.array_split(order, 3):
+        count.add(phasor[part], mask[part].astype(np.uint8))
+    curve = count.curve()
+    assert curve.pixels == (1000, 100, 50, 200)
+    np.testing.assert_allclose(curve.predicted, [0, 0.32, 0.82, 1])
+    np.testing.assert_allclose(curve.observed, [0.003, 0.32, 0.2, 0.95])
+    assert curve.calibration_error == pytest.approx(50 * 0.62 / 150)  # without the first and the last bin
+    assert Reliability((0.0, 1.0), (0.0, 1.0), (7, 3)).calibration_error is None
+
+
+def test_a_network_whose_probabilities_hold_expects_the_error_that_it_makes():
+    rng = np.random.default_rng(1)
+    probability, depth_m = rng.random((40, 50)), rng.uniform(2, 3, (40, 50))
+    mask = probability >= 0.5
+    phasor = probability * phasor_of_return(depth_m, FREQUENCY_HZ)
+    prediction = DepthMap(mask * depth_m, mask, phasor, FREQUENCY_HZ)
+    actual_m = []
+    for _ in range(50):
+        truth = rng.random(probability.shape) < probability
+        actual_m.append(image_metrics(mask * depth_m, mask, truth * depth_m, truth).depth_mae_m)
+    own_m = expected_mae_m(prediction)
+    assert abs(np.mean(actual_m) - own_m) < 4 * np.std(actual_m) / np.sqrt(len(actual_m))
+    by_hand_m = [
+        p * d if p < 0.5 else (1 - p) * d for p, d in zip(probability.flat, depth_m.flat, strict=True)
+    ]
+    assert own_m == pytest.approx(np.mean(by_hand_m))
+    sure = DepthMap(mask * depth_m, mask, mask * phasor_of_return(depth_m, FREQUENCY_HZ), FREQUENCY_HZ)
+    assert expected_mae_m(sure) == pytest.approx(0, abs=1e-12)
+
+
+def test_the_report_of_a_network_with_probabilities_has_them(closed_form_scenes, tmp_path, shards):
+    run = train_on_one_thread(closed_form_scenes, tmp_path / "run", **PROBABLE)
+    report = evaluate(
+        run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
+    )
+    content = json.loads((tmp_path / "report" / "metrics.json").read_text())
+    block = shards.read(shards.rows("train"))
+    assert sum(content["reliability"]["pixels"]) == block.mask.size
+    shown = np.dot(content["reliability"]["pixels"], content["reliability"]["observed"])
+    assert shown == pytest.approx(block.mask.sum())
+    predictions = load(run, "cpu").predict(block.complex_phasors())
+    with (tmp_path / "report" / "metrics.csv").open(newline="") as stream:
+        found = [float(line["expected_mae_m"]) for line in csv.DictReader(stream)]
+    np.testing.assert_allclose(found, [expected_mae_m(predictions[i]) for i in range(len(found))], rtol=1e-5)
+    assert content["expected_mae_m"]["mean"] == pytest.approx(np.mean(found))
+    assert "expected by the network" in report.table
+    assert {chart.name for chart in uncertainty_charts(report)} == {"reliability", "expected_mae"}
+    assert (tmp_path / "report" / "figures" / "reliability.png").is_file()
+
+
+def test_a_network_without_probabilities_has_no_uncertainty(finished_run, closed_form_scenes, tmp_path):
+    report = evaluate(
+        finished_run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
+    )
+    content = json.loads((tmp_path / "report" / "metrics.json").read_text())
+    assert content["reliability"] is None
+    assert content["expected_mae_m"] is None
+    assert uncertainty_charts(report) == ()
+    assert "predicts no probabilities" in (tmp_path / "report" / "index.html").read_text()
