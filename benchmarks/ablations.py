@@ -10,12 +10,13 @@ Run, for all rows or for those of the paper's Table 2:
 
 import argparse
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean, stdev
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.data.feed import Feed
 from model.data.shards import Shards, open_shards
@@ -26,6 +27,7 @@ from model.training.loop import train
 from scenegen import open_dataset, read_settings
 
 BATCH = 16
+Change = Callable[[NDArray[np.complex64]], NDArray[np.complexfloating]]
 
 
 @dataclass(frozen=True)
@@ -102,14 +104,15 @@ def own_keys(row: Row) -> dict[str, object]:
     return keys
 
 
-def judged(predictor: Predictor, shards: Shards, rows: Sequence[int], offset_rad: float = 0.0) -> Summary:
-    """Metrics of scenes whose phasors are turned by `offset_rad`, with signs that alternate by frequency."""
+def judged(
+    predictor: Predictor, shards: Shards, rows: Sequence[int], change: Change = lambda phasors: phasors
+) -> Summary:
+    """Metrics of scenes whose phasors (n, H, W, F) went through `change`."""
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
-    turn = np.exp(1j * offset_rad * (-1.0) ** np.arange(len(places)))  # (F,)
     feed = Feed(shards, rows, window_rows=0)
     metrics = []
     for block in feed.in_order(BATCH):
-        found = predictor.predict(block.complex_phasors()[..., places] * turn)
+        found = predictor.predict(change(block.complex_phasors()[..., places]))
         images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
         metrics += [image_metrics(*image) for image in images]
     return summarise(metrics)

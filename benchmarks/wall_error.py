@@ -8,6 +8,7 @@ vertical; the phases of all frequencies are changed, with alternating signs. Run
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,9 @@ def main() -> None:
     for error_mm, turn_deg, offset_mrad in ERRORS:
         view = moved_wall(predictor.config.geometry, error_mm / 1000, turn_deg)
         moved = replace(predictor, config=replace(predictor.config, geometry=view))
-        summary = judged(moved, shards, rows, offset_mrad / 1000)
+        signs = (-1.0) ** np.arange(len(predictor.config.inputs.frequencies_hz))
+        turn = np.exp(1j * offset_mrad / 1000 * signs)  # (F,)
+        summary = judged(moved, shards, rows, partial(np.multiply, turn))
         mae_cm, miou = 100 * summary.depth_mae_m.mean, summary.miou.mean
         cells = f"{error_mm:g} mm | {turn_deg:g} degrees | {offset_mrad:g} mrad"
         print(f"| {cells} | {mae_cm:.2f} | {miou:.3f} |", flush=True)

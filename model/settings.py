@@ -127,6 +127,8 @@ class TrainSettings:
     """Shift images at random by up to this fraction of their size; the paper: 0.2."""
     amplitude_spread: NotNegative = 0.0
     """Change the exposure at random by a factor of up to 1 + this."""
+    least_reflectance: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Darken hidden objects at random, at most to this part of their reflectance; residual channels only."""
     noise_sigma: NotNegative = 1e-4
     """Noise on each component, as a fraction of the amplitude at the first frequency."""
     channel_noise_sigma: NotNegative = 0.0
@@ -153,6 +155,10 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
+        if self.least_reflectance < 1 and "residual" not in self.channels:
+            raise ValueError(
+                "least_reflectance needs residual channels: without them, hidden light is not apart"
+            )
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
         if (self.target == "mask+depth") != (self.loss == "bce+iou+depth"):

@@ -11,7 +11,7 @@ from itof import direct_phasors, network_channels, phase_per_metre, residual_cha
 from itof.wall.expected_wall import ExpectedWall
 from model.data.augmentation import Augmentation, Draws, Warp
 from model.data.batches import Batch, BatchMaker
-from model.data.rows import RowBlock
+from model.data.rows import ARRAYS, RowBlock
 from model.network.channels import InputSpec
 
 HEIGHT, WIDTH = 6, 10
@@ -94,6 +94,26 @@ def test_an_augmented_pair_is_what_augmenting_by_hand_gives():
         np.testing.assert_allclose(result.channels[index].numpy(), expected, atol=5e-4)
         for name, truth in zip(("target", "radial_depth_m", "mask"), truths, strict=True):
             assert torch.equal(getattr(result, name)[index], truth), name
+
+
+def test_darker_objects_are_those_whose_hidden_light_is_a_part_of_what_it_was():
+    rows, maker, phasor, direct = measured_rows()
+    rows = maker.upload(replace(rows, **{name: getattr(rows, name).numpy() for name in ARRAYS}))
+    draws = draws_of(5, seed=3)
+    dark = Augmentation(least_reflectance=0.2)(rows, maker, draws)
+    parts = [
+        1 - 0.8 * np.random.default_rng(np.random.SeedSequence((int(seed), 2))).random()
+        for seed in draws.noise_seed
+    ]
+    assert min(parts) < 0.6 < 0.8 < max(parts) <= 1  # they differ
+    darker = direct + np.array(parts)[:, None, None, None] * (phasor - direct)
+    expected = residual_channels(darker, direct) / np.array([1e-3, 2e-3, 3e-3])[:, None, None]
+    # Hidden light is 2e-3 of the direct light: what is left is its square, over a scale of 1e-3.
+    np.testing.assert_allclose(dark.channels[:, -3:].numpy(), expected, atol=2 * 2e-3**2 / 1e-3)
+    plain = maker.batch(rows)
+    assert float((dark.channels - plain.channels)[:, -3:].abs().max()) > 0.5
+    for name in ("target", "radial_depth_m", "mask"):
+        assert torch.equal(getattr(dark, name), getattr(plain, name)), name
 
 
 def test_a_flip_of_the_rows_is_that_of_the_measurement_itself():

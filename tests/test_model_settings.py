@@ -20,6 +20,8 @@ def test_settings_refuse_what_makes_no_sense():
     for change in ({"channels": "all"}, {"batch_size": 0}, {"learning_rate": -1.0}, {"device": "tpu"}):
         with pytest.raises(ValueError, match=next(iter(change))):
             TrainSettings(**change)
+    with pytest.raises(ValueError, match="least_reflectance needs residual channels"):
+        TrainSettings(channels="paper", least_reflectance=0.5)
 
 
 def test_every_training_preset_is_one_that_settings_take_and_differs_from_its_base_by_its_own_keys():

@@ -126,6 +126,8 @@ class Augmentation:
     translation : shift by up to this fraction of width and height in either direction. Not a symmetry.
     amplitude_spread : s; multiply all phasors of an image by one factor between 1 / (1 + s) and 1 + s,
         uniform in its logarithm. Exact: another exposure or emitter power has the same effect.
+    least_reflectance : multiply the hidden light of an image by one factor between this and 1, uniform.
+        Exact for light of three bounces: it meets the object once, so it is proportional to its reflectance.
     noise_sigma : standard deviation of Gaussian noise on each phasor component, as a fraction of the pixel's
         amplitude at the first frequency.
     channel_noise_sigma : standard deviation of Gaussian noise on every input channel, in the channel's own
@@ -142,6 +144,7 @@ class Augmentation:
     rotation_deg: float = 0.0
     translation: float = 0.0
     amplitude_spread: float = 0.0
+    least_reflectance: float = 1.0
     noise_sigma: float = 0.0
     channel_noise_sigma: float = 0.0
     channel_noise_fraction: float = 1.0
@@ -159,6 +162,20 @@ class Augmentation:
             angle_rad=draws.turn * (self.rotation_deg * pi / 180),
             shift=draws.shift * self.translation,
         )
+
+    def darkened(self, phasor: Tensor, reference: Tensor | None, draws: Draws) -> Tensor:
+        """(N, H, W, F) phasors with the hidden light of darker objects.
+
+        The direct light is `reference` (N, H, W, F) with the amplitude of `phasor`. The real part of the
+        hidden light at the first frequency is in that amplitude and stays; no channel depends on it.
+        """
+        if self.least_reflectance == 1 or reference is None:
+            return phasor
+        shares = [_share(int(seed)) for seed in draws.noise_seed]
+        part = torch.tensor(shares, device=phasor.device) * (1 - self.least_reflectance)
+        first = reference[..., :1].abs()
+        bright = torch.where(first > 0, phasor[..., :1].abs() / first, 0.0)
+        return phasor - part[:, None, None, None] * (phasor - reference * bright)
 
     def measured(self, phasor: Tensor, draws: Draws) -> Tensor:
         """(N, H, W, F) phasors with random brightness and noise."""
@@ -181,8 +198,14 @@ class Augmentation:
 
     def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
         """The batch of `rows`, each row changed by its draws."""
-        batch = self.warp(draws)(maker.batch(rows, self.measured(maker.measured(rows), draws)))
+        phasor = self.darkened(maker.measured(rows), rows.reference, draws)
+        batch = self.warp(draws)(maker.batch(rows, self.measured(phasor, draws)))
         return replace(batch, channels=self.seen(batch.channels, draws))
+
+
+def _share(seed: int) -> float:
+    """A number in [0, 1); its stream is another than those of the noise with the same seed."""
+    return float(np.random.default_rng(np.random.SeedSequence((seed, 2))).random())
 
 
 def _noise(like: Tensor, seed: int) -> Tensor:

@@ -1,0 +1,95 @@
+"""The benchmarks behind docs/accuracy.md: learning curve, library baseline, gallery."""
+
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from model.data.shards import open_shards
+from model.network.metrics import image_metrics, summarise
+from model.prediction.predictor import load
+
+BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def benchmarks_importable():
+    sys.path.insert(0, str(BENCHMARKS))  # as if one were started
+    yield
+    sys.path.remove(str(BENCHMARKS))
+
+
+def rows(name, *words):
+    """Cells of the Markdown table that a benchmark prints, without its head."""
+    command = [sys.executable, BENCHMARKS / f"{name}.py", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stdout.splitlines() if re.match(r"\| *\d", line)]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_the_power_law_of_errors_that_follow_one_is_found():
+    law = runpy.run_path(str(BENCHMARKS / "learning_curve.py"))["power_law"]
+    counts = np.array([500, 1500, 4500])
+    said = law(counts, 40 * counts**-0.4)
+    assert said.startswith("MAE = 40.0 cm · scenes^-0.40")
+    needed = [int(number.replace(",", "")) for number in re.findall(r"([\d,]+) for", said)]
+    np.testing.assert_allclose(needed, [(40 / 1.6) ** 2.5, 40**2.5], rtol=1e-3)
+    assert law(counts, [1.0, 1.0, 2.0]) == "The error does not fall with the number of scenes."
+
+
+@pytest.mark.long
+def test_a_learning_curve_has_a_row_for_each_number_of_scenes(closed_form_scenes, tmp_path):
+    words = (closed_form_scenes.root, "--judge", closed_form_scenes.root, "--counts", 2, 4)
+    words = (*words, "--samples", 8, "--width", 2, "--block", 2, "--out", tmp_path / "curve")
+    found = rows("learning_curve", *words)
+    table = found[-2:]  # printed while it runs, and at the end
+    assert [row[:2] for row in table] == [["2", "4"], ["4", "2"]]
+    assert all(float(row[2]) > 0 and 0 < float(row[3]) < 1 for row in table)
+    assert load(tmp_path / "curve" / "scenes-4", "cpu").config.settings.train_scenes == 4
+    again = rows("learning_curve", *words)
+    assert again[-2:] == table  # finished runs are only judged
+
+
+@pytest.mark.long
+def test_a_library_of_the_scenes_themselves_is_the_most_similar_scene(closed_form_scenes):
+    count = len(open_shards(closed_form_scenes).rows("train"))
+    words = (closed_form_scenes.root, "--judge", closed_form_scenes.root, "--counts", 2, count)
+    ((few, *_), (many, neighbours, mae_cm, miou, _)) = rows("library_baseline", *words, "--neighbours", 1)
+    assert (few, many, neighbours) == ("2", str(count), "1")
+    shards = open_shards(closed_form_scenes)
+    library, test = (shards.read(shards.rows(split)) for split in ("train", "test"))
+    each = [
+        [
+            image_metrics(d, m, truth_m, mask)
+            for d, m in zip(library.radial_depth_m, library.mask, strict=True)
+        ]
+        for truth_m, mask in zip(test.radial_depth_m, test.mask, strict=True)
+    ]
+    best, worst = (
+        summarise([pick(one, key=lambda m: m.depth_mae_m) for one in each]).depth_mae_m.mean
+        for pick in (min, max)
+    )
+    assert 100 * best - 0.01 <= float(mae_cm) <= 100 * worst + 0.01
+    assert 0 < float(miou) < 1
+
+
+@pytest.mark.long
+def test_the_gallery_shows_the_first_scenes_and_the_worst(finished_run, closed_form_scenes, tmp_path):
+    shards = open_shards(closed_form_scenes)
+    ids = shards.ids(shards.rows("test"))
+    words = (finished_run, closed_form_scenes.root, "--count", len(ids))
+    first = rows("gallery", *words, "--out", tmp_path / "first.png")
+    worst = rows("gallery", *words, "--worst", "--out", tmp_path / "worst.png")
+    assert [row[0].split()[0] for row in first] == list(ids)
+    errors = [float(row[1]) for row in worst]
+    assert errors == sorted(errors, reverse=True)
+    assert sorted(worst) == sorted(first)
+    for name in ("first", "worst"):
+        with Image.open(tmp_path / f"{name}.png") as picture:
+            assert picture.width > 500
