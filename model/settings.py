@@ -152,6 +152,11 @@ class TrainSettings:
     progress: bool = True
     """Show the progress on stderr: a bar in a terminal, a line now and then elsewhere."""
 
+    @property
+    def predicts_probability(self) -> bool:
+        """Whether the amplitude of a predicted phasor is the probability of an object pixel."""
+        return self.target == "mask+depth"
+
     def __post_init__(self) -> None:
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
@@ -161,7 +166,7 @@ class TrainSettings:
             )
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
-        if (self.target == "mask+depth") != (self.loss == "bce+iou+depth"):
+        if self.predicts_probability != (self.loss == "bce+iou+depth"):
             raise ValueError(
                 f"target {self.target} does not go with loss {self.loss}: target mask+depth and loss "
                 "bce+iou+depth go together; the presets known-wall and paper have target components"

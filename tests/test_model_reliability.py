@@ -9,10 +9,11 @@ from training_runs import train_on_one_thread
 
 from itof import DepthMap, phasor_of_return
 from model.network.metrics import image_metrics
+from model.prediction.expected_error import expected_mae_m
 from model.prediction.predictor import load
 from model.report.charts import uncertainty_charts
 from model.report.evaluation import evaluate
-from model.report.reliability import Reliability, ReliabilityCount, expected_mae_m
+from model.report.reliability import Reliability, ReliabilityCount
 
 FREQUENCY_HZ = 20e6
 PROBABLE = {"target": "mask+depth", "loss": "bce+iou+depth", "width": 4, "batch_size": 4, "max_epochs": 2}

@@ -60,6 +60,9 @@ def test_the_command_finds_it_by_name(name, tmp_path, monkeypatch):
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "prediction.json").read_text())
     assert record["run"] == str(RUNS[name].resolve())
+    expected_cm = 100 * record["images"][0]["expected_mae_m"]
+    assert expected_cm > 0
+    assert f"; expected MAE {expected_cm:.1f} cm" in done.stdout
 
 
 def test_a_folder_comes_before_a_network_of_its_name(seeing_run, tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from itof import DepthMap
 from itof.wall.wall_fit import WallFit
 from itof.wall.wall_search import locate_wall
 from model.prediction.check_result import MeasurementCheck, WallFound
+from model.prediction.expected_error import expected_mae_m
 from model.prediction.figures import prediction_figure, write_figure
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.measurement_files import Measurement, MeasurementError
@@ -46,6 +47,7 @@ class PredictedImage:
     median_radial_depth_m : median radial depth of these pixels, metres; None if there are none.
     files : names of its files in the output folder.
     wall : the relay wall as the measurement shows it; None if it shows none.
+    expected_mae_m : MAE over all pixels that the network expects, metres; None without probabilities.
     """
 
     name: str
@@ -53,15 +55,17 @@ class PredictedImage:
     median_radial_depth_m: float | None
     files: tuple[str, ...]
     wall: WallFound | None
+    expected_mae_m: float | None = None
 
     @property
     def sentence(self) -> str:
         """The outcome as text."""
+        own = "" if self.expected_mae_m is None else f"; expected MAE {100 * self.expected_mae_m:.1f} cm"
         if self.median_radial_depth_m is None:
-            return f"image {self.name}: no pixel shows an object, so it has no point cloud"
+            return f"image {self.name}: no pixel shows an object, so it has no point cloud{own}"
         return (
             f"image {self.name}: {self.object_pixels} pixels show an object, at a median radial depth of "
-            f"{self.median_radial_depth_m:.2f} m"
+            f"{self.median_radial_depth_m:.2f} m{own}"
         )
 
 
@@ -205,7 +209,8 @@ def _write(
         files.append(f"{name}.ply")
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
-    return PredictedImage(name, len(points_m), median_m, tuple(files), wall)
+    own_m = expected_mae_m(one) if predictor.config.settings.predicts_probability else None
+    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m)
 
 
 def _with_wall(

@@ -87,7 +87,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
     """
     sweep = ThresholdSweep(split, bench.thresholds, bench.readout)
     reliability = ReliabilityCount()
-    has_probability = bench.predictor.config.settings.target == "mask+depth"
+    has_probability = bench.predictor.config.settings.predicts_probability
     results: list[SceneResult] = []
     for block, predictions in bench.predictions(split):
         sweep.add(predictions.phasor, block.radial_depth_m, block.mask)

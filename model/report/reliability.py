@@ -1,4 +1,4 @@
-"""Whether the probabilities of a network hold, and the error that it expects of its own depth maps."""
+"""Whether the probabilities of a network hold."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import DepthMap, depth_from_phase
+from model.prediction.expected_error import probabilities
 
 BINS: Final = 20  # of the probability
 
@@ -64,7 +64,7 @@ class ReliabilityCount:
 
     def add(self, phasor: NDArray[np.complexfloating[Any, Any]], mask_gt: NDArray[np.uint8]) -> None:
         """Add images (..., H, W): predicted phasors, whose amplitude is the probability, and true mask."""
-        probability = _probability(phasor).ravel()
+        probability = probabilities(phasor).ravel()
         places = np.minimum((probability * BINS).astype(np.intp), BINS - 1)
         for total, weights in (
             (self._pixels, None),
@@ -82,22 +82,3 @@ class ReliabilityCount:
             tuple((self._shown[there] / count).tolist()),
             tuple(count.astype(int).tolist()),
         )
-
-
-def expected_mae_m(prediction: DepthMap) -> float:
-    """MAE over all pixels that a network expects of its own depth map (H, W), metres.
-
-    The amplitude of the phasor is the probability p that a pixel shows the object, at the depth d of its
-    phase. A pixel of the mask is background with probability 1 - p, another one shows the object with
-    probability p; the error is then d. Errors of the depth on the object are not in it: they are a tenth of
-    the MAE or less (docs/accuracy.md).
-    """
-    probability = _probability(prediction.phasor)
-    depth_m = depth_from_phase(np.angle(prediction.phasor) % (2 * np.pi), prediction.frequency_hz)
-    wrong = np.where(prediction.mask, 1 - probability, probability)  # (H, W)
-    return float((wrong * depth_m).mean())
-
-
-def _probability(phasor: NDArray[np.complexfloating[Any, Any]]) -> NDArray[np.float64]:
-    probability: NDArray[np.float64] = np.minimum(np.abs(phasor).astype(np.float64), 1.0)
-    return probability

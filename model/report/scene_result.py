@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from model.network.metrics import ImageMetrics, image_metrics, no_object_metrics
-from model.report.reliability import expected_mae_m
+from model.prediction.expected_error import expected_mae_m
 from model.report.roundness import disc_iou
 from scenegen import Scene
 

@@ -115,7 +115,7 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.settings.balance == "dataset" and self.background_per_object is None:
             raise ValueError("the balance dataset needs background_per_object")
-        if self.settings.target == "mask+depth" and self.object_depth_m is None:
+        if self.settings.predicts_probability and self.object_depth_m is None:
             raise ValueError("the target mask+depth needs object_depth_m")
 
     @property

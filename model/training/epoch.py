@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,16 @@ import torch
 from torch import Tensor
 
 from model.data.augmentation import Draws
+from model.data.batches import Batch
 from model.network.metrics import mask_iou
+from model.network.unet import UNet
 from model.run_folder.history import EpochRecord
 from model.training.interruption import Interruption
 from model.training.loss_watch import LossError, LossWatch
 from model.training.optimisation import learning_rate
 from model.training.refusals import TrainingError
 from model.training.state import TrainingState
+from model.training.temperature import LogitCount, logit_factor
 from scenegen.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -60,7 +64,7 @@ def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: In
 
 @torch.no_grad()
 def validate(state: TrainingState, train_loss: float, between_batches: Callable[[], None]) -> EpochRecord:
-    """Mean loss and metrics of the validation scenes, without augmentation.
+    """Mean loss and metrics of the validation scenes, without augmentation; fits ``state.logit_factor``.
 
     Raises
     ------
@@ -69,6 +73,7 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
     network = state.optimisation.judged.eval()
     feed = state.feeds["validation"]
     sums = torch.zeros(4, dtype=torch.float64, device=state.processes.device)
+    logits = LogitCount(state.processes.device) if state.settings.predicts_probability else None
     for block in feed.in_order(state.settings.batch_size):
         part = block.take([block.rows[place] for place in state.processes.share(range(len(block)))])
         batch = state.maker.batch(part)
@@ -80,6 +85,8 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
         bad = (~output.isfinite()).sum()
         each = torch.stack([loss.double(), depth_error_m.double(), miou.double(), bad.double()])
         sums += state.processes.own(len(block)) * each
+        if logits and state.processes.own(len(block)):
+            logits.add(_predicted(state, batch, output, network)[:, 0], batch.mask)
         between_batches()
     loss, depth_mae_m, miou, bad_outputs = (state.processes.total(sums) / len(feed.rows)).tolist()
     record = EpochRecord(
@@ -93,7 +100,17 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
         validation_miou=miou,
     )
     _refuse_bad_validation(record, bad_outputs > 0)
+    if logits:
+        state.logit_factor = logit_factor(state.processes.total(logits.sums))
     return record
+
+
+def _predicted(state: TrainingState, batch: Batch, output: Tensor, network: UNet) -> Tensor:
+    """(N, C, H, W) `output` as a prediction has it: averaged with that of the flipped images if so set."""
+    if not state.settings.average_flip:
+        return output
+    flipped = state.step.output(replace(batch, channels=batch.channels.flip(-2)), network).flip(-2)
+    return (output + flipped) / 2
 
 
 def save_if_due(

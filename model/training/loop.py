@@ -181,7 +181,7 @@ def _configure(
         if settings.balance == "dataset" and ratio is None:
             ratio = background_per_object(shards, rows)
         depth_m = before.object_depth_m if before else start.config.object_depth_m if start else None
-        if settings.target == "mask+depth" and depth_m is None:
+        if settings.predicts_probability and depth_m is None:
             depth_m = object_depth_m(shards, rows)
     except (BalanceError, ChannelError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
@@ -196,7 +196,7 @@ def _configure(
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
         background_per_object=ratio if settings.balance == "dataset" else None,
-        object_depth_m=depth_m if settings.target == "mask+depth" else None,
+        object_depth_m=depth_m if settings.predicts_probability else None,
         started_from=before.started_from if before else start.origin if start else None,
     )
     return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))

@@ -30,6 +30,7 @@ from model.training.optimisation import epochs_without_improvement
 from model.training.processes import Processes, processes_of_this_machine
 from model.training.refusals import TrainingError, naming_disk
 from model.training.step import TrainingStep
+from model.training.temperature import scaled_logits
 from scenegen import Split
 
 _log = logging.getLogger(__name__)
@@ -44,7 +45,8 @@ class TrainingState:
     step, optimisation : network and optimiser.
     maker, feeds : make the batches of the training and validation scenes.
     history : record of each finished epoch.
-    best_weights : weights of the epoch with the smallest validation loss, on the CPU.
+    logit_factor : what makes the probabilities of the last validation hold (`model.training.temperature`).
+    best_weights : weights of the epoch with the smallest validation loss, on the CPU, with that factor.
     batches_done : batches of the current epoch that are done.
     loss_total : sum of the losses of this process's scenes in the current epoch.
     saved_at : time of the last checkpoint on the monotonic clock, seconds.
@@ -73,6 +75,7 @@ class TrainingState:
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
         self.optimisation = self.step.optimisation
         self.history: list[EpochRecord] = []
+        self.logit_factor = 1.0
         self.best_weights: dict[str, Tensor] = {}
         self.batches_done, self.loss_total = 0, torch.zeros((), dtype=torch.float64, device=device)
         self.saved_at = time.monotonic()
@@ -109,7 +112,10 @@ class TrainingState:
         self.batches_done = 0
         self.loss_total.zero_()
         if self.best is record:
-            weights = self.optimisation.judged.state_dict()
+            network = self.optimisation.judged
+            weights = network.state_dict()
+            if self.settings.predicts_probability:
+                weights = scaled_logits(network, weights, self.logit_factor)
             self.best_weights = {
                 name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in weights.items()
             }
