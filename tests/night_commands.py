@@ -43,6 +43,7 @@ _CURVES = ("training_loss", "training_mae", "training_miou")
 FIGURES = {
     f"{name}.png" for name in ("best", "median", "worst", "scenes", "point_clouds", *_CHARTS, *_CURVES)
 }  # of a report
+UNCERTAINTY = {"reliability.png", "expected_mae.png"}  # also, of a network that predicts probabilities
 
 DEFECT = 70  # exit code of an exception that no input should cause
 

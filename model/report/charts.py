@@ -15,6 +15,7 @@ import numpy as np
 
 from model.network.metrics import ImageMetrics
 from model.report.calibration import Calibration, ThresholdCurve
+from model.report.reliability import BINS
 from model.report.results import Report
 
 Colour = Literal["text", "baseline", "prediction", "truth"]  # CSS variables of the page
@@ -137,7 +138,13 @@ def uncertainty_charts(report: Report) -> tuple[Chart, ...]:
             "part that shows the object",
             (
                 Curve("as predicted", "baseline", (0.0, 1.0), (0.0, 1.0), width_pt=1.2),
-                Curve("pixels in 20 bins", "prediction", reliability.predicted, reliability.observed, "dots"),
+                Curve(
+                    f"pixels in {BINS} bins",
+                    "prediction",
+                    reliability.predicted,
+                    reliability.observed,
+                    "dots",
+                ),
             ),
         ),
         Chart(

@@ -1,8 +1,8 @@
 """Temperature scaling: one factor on the logits, after which the probabilities of validation pixels hold.
 
-A network that is trained with an overlap in its loss is more certain than it is right. The factor leaves the
-mask at the threshold 0.5 as it is. It is fitted after each epoch and becomes part of the kept weights: the
-last layer is linear, so scaled weights give scaled logits.
+Networks that are trained with an overlap in their loss are more certain than they are right. The factor
+leaves the mask at the threshold 0.5 as it is. It is fitted after each epoch and becomes part of the kept
+weights: the last layer is linear, so scaled weights give scaled logits.
 
 Source: Guo et al., "On calibration of modern neural networks", ICML 2017, sec. 4.2.
 """
