@@ -118,6 +118,12 @@ def judged(
     return summarise(metrics)
 
 
+def cells(summary: Summary) -> str:
+    """MAE in cm, mIoU and MAE on the object in cm, as cells of a table."""
+    on_object = f"{100 * summary.object_mae_m.mean:.2f}" if summary.object_mae_m else "-"
+    return f"{100 * summary.depth_mae_m.mean:.2f} | {summary.miou.mean:.3f} | {on_object}"
+
+
 def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
     """Print the table as Markdown; the last row is the prediction that there is no object."""
     rows = shards.rows("test")

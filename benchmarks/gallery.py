@@ -25,6 +25,7 @@ from itof import DepthMap
 from model.data.feed import Feed
 from model.data.shards import open_shards
 from model.network.metrics import ImageMetrics, image_metrics
+from model.prediction.expected_error import probabilities
 from model.prediction.figures import BACKGROUND, depth_range, write_figure
 from model.prediction.predictor import BATCH, load
 from scenegen import open_dataset
@@ -116,7 +117,7 @@ def drawn(scenes: list[Shown]) -> Figure:
         near_m, far_m = depth_range(scene.truth, scene.prediction)
         for axes, view in zip(panels, (scene.truth, scene.prediction), strict=False):
             _draw(axes, np.where(view.mask, view.radial_depth_m, np.nan), "viridis", near_m, far_m)
-        _draw(panels[2], np.minimum(np.abs(scene.prediction.phasor), 1), "magma", 0, 1)
+        _draw(panels[2], probabilities(scene.prediction.phasor), "magma", 0, 1)
         if scene.truth.mask.any() and not scene.truth.mask.all():
             panels[2].contour(scene.truth.mask, levels=[0.5], colors="white", linewidths=0.8)
         panels[0].set_title(scene.name, fontsize=7, loc="left")

@@ -91,7 +91,7 @@ def untrained(preset: str, width: int, height: int, device: str) -> Predictor:
     config = RunConfig(
         *(settings, inputs, frequencies_hz[0], VIEW, width, height, "", "", ""),
         background_per_object=30.0,
-        object_depth_m=OBJECT_DEPTH_M if settings.target == "mask+depth" else None,
+        object_depth_m=OBJECT_DEPTH_M if settings.predicts_probability else None,
     )
     chosen = choose_device(device)
     return Predictor(config, config.network(torch.Generator().manual_seed(0)).to(chosen), chosen)

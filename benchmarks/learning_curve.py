@@ -17,7 +17,7 @@ import logging
 from pathlib import Path
 
 import numpy as np
-from ablations import judged
+from ablations import cells, judged
 from numpy.typing import ArrayLike
 
 from model.data.shards import open_shards
@@ -57,8 +57,7 @@ def main() -> None:
         )
         found = judged(load(out), unseen, unseen.rows("test"))
         errors_cm.append(100 * found.depth_mae_m.mean)
-        on_object = f"{100 * found.object_mae_m.mean:.2f}" if found.object_mae_m else "-"
-        lines.append(f"| {count} | {epochs} | {errors_cm[-1]:.2f} | {found.miou.mean:.3f} | {on_object} |")
+        lines.append(f"| {count} | {epochs} | {cells(found)} |")
         print(lines[-1], flush=True)
     print("\n| training scenes | epochs | MAE cm | mIoU | object MAE cm |\n|---|---|---|---|---|")
     print("\n".join(lines))

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from ablations import cells
 from torch import Tensor
 
 from model.data.batches import BatchMaker
@@ -59,13 +60,7 @@ def main() -> None:
                 image_metrics(*image)
                 for image in zip(mask * some_m, mask, truth.radial_depth_m, truth.mask, strict=True)
             ]
-            found = summarise(metrics)
-            on_object = f"{100 * found.object_mae_m.mean:.2f}" if found.object_mae_m else "-"
-            print(
-                f"| {count} | {neighbours} | {100 * found.depth_mae_m.mean:.2f} | {found.miou.mean:.3f} | "
-                f"{on_object} |",
-                flush=True,
-            )
+            print(f"| {count} | {neighbours} | {cells(summarise(metrics))} |", flush=True)
 
 
 def _maker(spec: InputSpec, shards: Shards, view: WallView) -> BatchMaker:

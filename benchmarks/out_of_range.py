@@ -20,23 +20,17 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from ablations import judged
+from ablations import cells, judged
 from numpy.typing import NDArray
 
 from model.data.shards import open_shards
 from model.prediction.predictor import load
 from scenegen import open_dataset
+from scenegen.preset import ShapeSizes
+from scenegen.shapes import PRIMITIVES
 
 Phasors = NDArray[np.complexfloating]
 TERMINAL = Path(sys.executable).parent  # where the commands are
-SIZES_M = {
-    "cube": (0.5, 0.5, 0.5),
-    "cylinder": (0.4, 0.4, 0.55),
-    "sphere": (0.56, 0.56, 0.56),
-    "cone": (0.56, 0.56, 0.55),
-    "concave_plane": (0.1609, 0.589, 0.6),
-    "parallelepiped": (0.3, 0.3, 0.6),
-}
 
 
 @dataclass(frozen=True)
@@ -52,7 +46,8 @@ class Row:
 
 def sizes(factor: float) -> str:
     """Preset lines with the sizes of all primitives, times `factor`."""
-    lines = [f"{name} = {[round(factor * side, 4) for side in size]}" for name, size in SIZES_M.items()]
+    own = ShapeSizes()
+    lines = [f"{name} = {[round(factor * side, 4) for side in own.of(name)]}" for name in PRIMITIVES]
     return "[hidden_object.size_m]\n" + "\n".join(lines)
 
 
@@ -100,9 +95,7 @@ def main() -> None:
         found = judged(predictor, shards, rows, partial(with_noise, row.noise, np.random.default_rng(0)))
         block = shards.read(rows)
         nothing_m = float(np.abs(block.radial_depth_m).mean())
-        on_object = f"{100 * found.object_mae_m.mean:.2f}" if found.object_mae_m else "-"
-        cells = (f"{100 * found.depth_mae_m.mean:.2f}", f"{found.miou.mean:.3f}", on_object)
-        print(f"| {row.words} | {' | '.join(cells)} | {100 * nothing_m:.2f} |", flush=True)
+        print(f"| {row.words} | {cells(found)} | {100 * nothing_m:.2f} |", flush=True)
 
 
 def with_noise(deviation: float, rng: np.random.Generator, phasors: Phasors) -> Phasors:

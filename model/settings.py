@@ -69,7 +69,7 @@ class TrainSettings:
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
     """Channels of the U-Net's first level."""
     block: Annotated[int, Field(ge=1, le=64)] = 1
-    """Pixels per side of a position of the U-Net: 2 needs a quarter of the time; the paper: 1."""
+    """Pixels per side of a position of the U-Net: 2 halves the time of a training; the paper: 1."""
     target: Target = "components"
     """What the network predicts: Re and Im of the mirrored scene, its depth in metres directly, or the
     probability and the depth of an object pixel. With depth, error and mask are those of the depth, whatever
@@ -161,9 +161,7 @@ class TrainSettings:
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
         if self.least_reflectance < 1 and "residual" not in self.channels:
-            raise ValueError(
-                "least_reflectance needs residual channels: without them, hidden light is not apart"
-            )
+            raise ValueError("least_reflectance needs residual channels, which tell hidden from direct light")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
         if self.predicts_probability != (self.loss == "bce+iou+depth"):

@@ -1,4 +1,4 @@
-"""The benchmarks behind docs/accuracy.md: learning curve, library baseline, gallery."""
+"""The benchmarks behind docs/accuracy.md: learning curve, bounds, library baseline, gallery."""
 
 import re
 import runpy
@@ -41,6 +41,19 @@ def test_the_power_law_of_errors_that_follow_one_is_found():
     needed = [int(number.replace(",", "")) for number in re.findall(r"([\d,]+) for", said)]
     np.testing.assert_allclose(needed, [(40 / 1.6) ** 2.5, 40**2.5], rtol=1e-3)
     assert law(counts, [1.0, 1.0, 2.0]) == "The error does not fall with the number of scenes."
+
+
+def test_the_bounds_of_a_pose_are_those_of_independent_unknowns():
+    bounds = runpy.run_path(str(BENCHMARKS / "pose_bound.py"))["_bounds"]
+    sizes = np.array([1, 2, 4, 5, 10, 0.0])  # per metre and per radian; the last rotation changes nothing
+    jacobian = np.zeros((50, 6))
+    jacobian[range(6), range(6)] = sizes
+    found = bounds(jacobian, np.full((50, 6), 1e-6), 1e-3)
+    assert found == ("0.25 to 1.00", f"{np.degrees(1e-4):.2f} to {np.degrees(2e-4):.2f} (2 axes)")
+    # Half of the first unknown's power is along the other unknown, which leaves 1 / sqrt(1 - 1/2).
+    nuisance = np.zeros((50, 1))
+    nuisance[[0, 40]] = 1
+    assert bounds(jacobian, np.full((50, 6), 1e-6), 1e-3, nuisance)[0] == f"0.25 to {np.sqrt(2):.2f}"
 
 
 @pytest.mark.long

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from itof.weighted_reference import quotient
 from model.data.batches import Batch, BatchMaker
 from model.data.rows import RowBlock
 from model.settings import TrainSettings
@@ -173,8 +174,7 @@ class Augmentation:
             return phasor
         shares = [_share(int(seed)) for seed in draws.noise_seed]
         part = torch.tensor(shares, device=phasor.device) * (1 - self.least_reflectance)
-        first = reference[..., :1].abs()
-        bright = torch.where(first > 0, phasor[..., :1].abs() / first, 0.0)
+        bright = quotient(torch, phasor[..., :1].abs(), reference[..., :1].abs())
         return phasor - part[:, None, None, None] * (phasor - reference * bright)
 
     def measured(self, phasor: Tensor, draws: Draws) -> Tensor:

@@ -14,7 +14,7 @@ from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
 from model.network.channels import InputSpec
 
-_IMAGES_AT_ONCE: Final = 16  # a self-calibration needs about 50 times the memory of its phasors
+_IMAGES_AT_ONCE: Final = 16  # a self-calibration needs many times the memory of its phasors
 
 
 @dataclass(frozen=True)

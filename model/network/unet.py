@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import torch
@@ -27,7 +28,7 @@ class UNet(nn.Module):
     *Blocks.* With `block` > 1, each block of that many pixels squared becomes one position of the U-Net, and
     all its values are channels of it; the U-Net's output becomes pixels again before the head's 3x3
     convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/accuracy.md), and the
-    U-Net needs a quarter of the time with 2. The paper's network has 1.
+    U-Net has a quarter of the multiplications with 2. The paper's network has 1.
 
     *Padding.* An image size that is not a multiple of 16 blocks is padded to the next multiple and the output
     is cropped. The padding is divided as evenly as possible between the two sides, so that a flip of the
@@ -145,6 +146,11 @@ class UNet(nn.Module):
                 nn.init.normal_(module.weight, std=(gain / fan_in) ** 0.5, generator=generator)
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+
+
+def average_with_flip(network: Callable[[Tensor], Tensor], channels: Tensor, output: Tensor) -> Tensor:
+    """(N, C', H, W) mean of `output` of (N, C, H, W) channels and of that of the images upside down."""
+    return (output + network(channels.flip(-2)).flip(-2)) / 2
 
 
 def _two_convolutions(before: int, after: int) -> nn.Sequential:

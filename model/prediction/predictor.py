@@ -15,7 +15,7 @@ from itof.wall.expected_wall import ExpectedWall
 from model.device import choose_device, plain_memory_errors
 from model.network.channels import ChannelError
 from model.network.readout import Readout
-from model.network.unet import UNet
+from model.network.unet import UNet, average_with_flip
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
@@ -163,7 +163,7 @@ class Predictor:
         images = torch.from_numpy(channels).to(self.device)
         output = self.network(images)  # (N, C, H, W)
         if self.config.settings.average_flip:
-            output = (output + self.network(images.flip(-2)).flip(-2)) / 2
+            output = average_with_flip(self.network, images, output)
         if not bool(output.isfinite().all()):
             raise RunError(
                 "the network answers with NaN or infinite values: its weights are damaged, or the "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -48,12 +48,7 @@ class Reliability:
 
     def as_data(self) -> dict[str, Any]:
         """The curve as plain data."""
-        return {
-            "predicted": list(self.predicted),
-            "observed": list(self.observed),
-            "pixels": list(self.pixels),
-            "calibration_error": self.calibration_error,
-        }
+        return {**asdict(self), "calibration_error": self.calibration_error}
 
 
 class ReliabilityCount:

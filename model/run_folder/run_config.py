@@ -41,7 +41,8 @@ _LATER: Final = (
     "ground_truth",
     "average_flip",
     "block",
-    *("train_scenes", "least_reflectance"),
+    "train_scenes",
+    "least_reflectance",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]

@@ -16,7 +16,7 @@ from torch import Tensor
 from model.data.augmentation import Draws
 from model.data.batches import Batch
 from model.network.metrics import mask_iou
-from model.network.unet import UNet
+from model.network.unet import UNet, average_with_flip
 from model.run_folder.history import EpochRecord
 from model.training.interruption import Interruption
 from model.training.loss_watch import LossError, LossWatch
@@ -109,8 +109,11 @@ def _predicted(state: TrainingState, batch: Batch, output: Tensor, network: UNet
     """(N, C, H, W) `output` as a prediction has it: averaged with that of the flipped images if so set."""
     if not state.settings.average_flip:
         return output
-    flipped = state.step.output(replace(batch, channels=batch.channels.flip(-2)), network).flip(-2)
-    return (output + flipped) / 2
+
+    def of_channels(channels: Tensor) -> Tensor:
+        return state.step.output(replace(batch, channels=channels), network)
+
+    return average_with_flip(of_channels, batch.channels, output)
 
 
 def save_if_due(

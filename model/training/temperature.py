@@ -9,6 +9,7 @@ Source: Guo et al., "On calibration of modern neural networks", ICML 2017, sec. 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -61,12 +62,11 @@ def logit_factor(sums: Tensor) -> float:
     def slope(factor: float) -> float:
         return float((logit * (count * (factor * logit).sigmoid() - shown)).sum())
 
-    low, high = torch.tensor([_LEAST, _MOST], dtype=torch.float64).log().tolist()
+    low, high = _LEAST, _MOST
     for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        factor = float(torch.tensor(middle, dtype=torch.float64).exp())
-        low, high = (middle, high) if slope(factor) < 0 else (low, middle)
-    return float(torch.tensor((low + high) / 2, dtype=torch.float64).exp())
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if slope(middle) < 0 else (low, middle)
+    return math.sqrt(low * high)
 
 
 def scaled_logits(network: UNet, weights: Mapping[str, Tensor], factor: float) -> dict[str, Tensor]:
