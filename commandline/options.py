@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import click
 
@@ -92,17 +93,27 @@ def _option_type(field: FieldInfo) -> click.ParamType:
         return click.Choice(get_args(field.annotation))
     if field.annotation is bool:
         return click.BOOL
-    if field.annotation not in (int, float):
+    number, *metadata = _number_of(field)
+    if number not in (int, float):
         return Megahertz()
     names = ("ge", "gt", "le", "lt")
-    bounds = {name: getattr(item, name) for item in field.metadata for name in names if hasattr(item, name)}
-    kind = click.IntRange if field.annotation is int else click.FloatRange
+    bounds = {name: getattr(item, name) for item in metadata for name in names if hasattr(item, name)}
+    kind = click.IntRange if number is int else click.FloatRange
     return kind(
         min=bounds.get("ge", bounds.get("gt")),
         max=bounds.get("le", bounds.get("lt")),
         min_open="gt" in bounds,
         max_open="lt" in bounds,
     )
+
+
+def _number_of(field: FieldInfo) -> list[Any]:
+    """The type of a setting that may be None without that, then what bounds it."""
+    wanted = [kind for kind in get_args(field.annotation) if kind is not NoneType]
+    if len(wanted) != 1:
+        return [field.annotation, *field.metadata]
+    number, *marks = get_args(wanted[0]) if get_origin(wanted[0]) is Annotated else (wanted[0],)
+    return [number, *(item for mark in marks for item in getattr(mark, "metadata", [mark]))]
 
 
 def _training_option(name: str, field: FieldInfo) -> Callable[[_Command], _Command]:

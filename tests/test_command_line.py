@@ -87,6 +87,9 @@ def test_every_training_setting_has_one_option_with_its_description_and_bounds()
     assert options["ema_decay"].type.max_open
     assert options["mask_threshold"].type.min_open
     assert not options["dead_zone"].type.min_open
+    assert [name for name in fields if options[name].type.name == "MHZ,..."] == ["frequencies_hz"]
+    assert isinstance(options["train_scenes"].type, click.IntRange)
+    assert options["train_scenes"].type.min == 1
 
 
 def failing_with(error):
