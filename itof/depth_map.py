@@ -16,7 +16,7 @@ from itof.exr_header import ImageFileError
 from itof.light import phasor_of_return
 from itof.pinhole import z_from_radial
 
-DEPTH_CHANNEL, MASK_CHANNEL = "depth.R", "mask.M"
+DEPTH_CHANNEL, MASK_CHANNEL, ERROR_CHANNEL = "depth.R", "mask.M", "depth_error.R"
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class DepthMap:
     mask : (..., H, W) bool, True on the hidden object.
     phasor : (..., H, W) complex at `frequency_hz`; ground truth has amplitude 1 on the object, else 0.
     frequency_hz : modulation frequency of the phasor, Hz.
+    depth_error_m : (..., H, W) absolute error that a network expects of the depth where there is an object,
+        metres; None where nothing expects one.
 
     Source: Caligiuri et al. 2024, sec. 4.1 (the mirror trick); their released code (amplitude 1).
     """
@@ -37,6 +39,7 @@ class DepthMap:
     mask: NDArray[np.bool_]
     phasor: NDArray[np.complexfloating[Any, Any]]
     frequency_hz: float
+    depth_error_m: NDArray[np.floating[Any]] | None = None
 
     @classmethod
     def of_object(
@@ -57,11 +60,17 @@ class DepthMap:
 
     def __getitem__(self, index: int) -> DepthMap:
         """One of several depth maps (N, H, W)."""
-        return DepthMap(self.radial_depth_m[index], self.mask[index], self.phasor[index], self.frequency_hz)
+        error_m = None if self.depth_error_m is None else self.depth_error_m[index]
+        depth_m, mask, phasor = (values[index] for values in (self.radial_depth_m, self.mask, self.phasor))
+        return DepthMap(depth_m, mask, phasor, self.frequency_hz, error_m)
 
     def channels(self) -> dict[str, NDArray[np.float32]]:
-        """EXR channels of one depth map (H, W): ``depth.R``, ``mask.M``, ``itof.<f>MHz.Re`` and ``.Im``."""
+        """EXR channels of one depth map (H, W): ``depth.R``, ``mask.M``, ``itof.<f>MHz.Re`` and ``.Im``, and
+        ``depth_error.R`` where an error is expected.
+        """
+        error_m = self.depth_error_m
         return {
+            **({} if error_m is None else {ERROR_CHANNEL: error_m.astype(np.float32)}),
             DEPTH_CHANNEL: self.radial_depth_m.astype(np.float32),
             MASK_CHANNEL: self.mask.astype(np.float32),
             **phasor_channels(self.phasor[..., None], [self.frequency_hz]),
@@ -97,7 +106,7 @@ class DepthMap:
         Raises
         ------
         ImageFileError : channels that are missing, phasors at several frequencies, values that are not
-            finite, a mask that is not 0 or 1, or a negative depth.
+            finite, a mask that is not 0 or 1, a negative depth or a negative error.
         """
         try:
             radial_depth_m, mask = image.channel(DEPTH_CHANNEL), image.channel(MASK_CHANNEL)
@@ -106,14 +115,16 @@ class DepthMap:
             raise ImageFileError(f"is no depth map ({error})") from None
         if len(frequencies_hz) != 1:
             raise ImageFileError(f"is no depth map (it has phasors at {len(frequencies_hz)} frequencies)")
-        bad = sum(int(np.count_nonzero(~np.isfinite(values))) for values in (radial_depth_m, mask, phasor))
+        error_m = image.channels.get(ERROR_CHANNEL)
+        there = [values for values in (radial_depth_m, mask, phasor, error_m) if values is not None]
+        bad = sum(int(np.count_nonzero(~np.isfinite(values))) for values in there)
         if bad:
             raise ImageFileError(f"holds {bad} values that are NaN or infinite")
-        if not _is_mask(mask) or (radial_depth_m < 0).any():
+        if not _is_mask(mask) or (radial_depth_m < 0).any() or (error_m is not None and (error_m < 0).any()):
             raise ImageFileError(
                 f"is no depth map: it needs {MASK_CHANNEL} of 0 and 1 and {DEPTH_CHANNEL} from 0 m"
             )
-        return cls(radial_depth_m, mask > 0, phasor[..., 0], frequencies_hz[0])
+        return cls(radial_depth_m, mask > 0, phasor[..., 0], frequencies_hz[0], error_m)
 
 
 def _is_mask(values: ArrayLike) -> bool:

@@ -25,7 +25,7 @@ GroundTruth = Literal["geometry", "simulated"]
 LossTarget = Literal["components", "depth"]
 LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
 MaskSource = Literal["amplitude", "depth"]
-Freeze = Literal["none", "encoder", "all-but-head"]
+Freeze = Literal["none", "encoder", "all-but-head", "all-but-uncertainty"]
 DeviceName = Literal["auto", "cpu", "cuda"]
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
 Precision = Literal["auto", "float32", "bfloat16", "float16"]
@@ -43,6 +43,7 @@ NETWORK_SETTINGS = (
     "width",
     "block",
     "target",
+    "uncertainty",
 )
 READOUT_SETTINGS = ("loss", "mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
@@ -74,6 +75,8 @@ class TrainSettings:
     """What the network predicts: Re and Im of the mirrored scene, its depth in metres directly, or the
     probability and the depth of an object pixel. With depth, error and mask are those of the depth, whatever
     loss_on and mask_from say. mask+depth goes with the loss bce+iou+depth."""
+    uncertainty: bool = False
+    """With target mask+depth: a second head predicts the error of the depth; it changes nothing else."""
     ground_truth: GroundTruth = "geometry"
     """Truth from the shape of the mirrored object, or from the simulator's transient of the mirrored scene,
     as in the paper; simulated needs transients."""
@@ -164,6 +167,12 @@ class TrainSettings:
             raise ValueError("least_reflectance needs residual channels, which tell hidden from direct light")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
+        if self.uncertainty and not self.predicts_probability:
+            raise ValueError(
+                "uncertainty needs target mask+depth, which has a depth of each object pixel: leave it out"
+            )
+        if self.freeze == "all-but-uncertainty" and not self.uncertainty:
+            raise ValueError("freeze all-but-uncertainty would train nothing: it needs uncertainty")
         if self.predicts_probability != (self.loss == "bce+iou+depth"):
             raise ValueError(
                 f"target {self.target} does not go with loss {self.loss}: target mask+depth and loss "

@@ -1,4 +1,4 @@
-"""Reliability of probabilities and the error that they let expect: closed forms, and in the report."""
+"""Reliability of probabilities and of expected errors: closed forms, and in the report."""
 
 import csv
 import json
@@ -11,9 +11,9 @@ from itof import DepthMap, phasor_of_return
 from model.network.metrics import image_metrics
 from model.prediction.expected_error import expected_mae_m
 from model.prediction.predictor import load
-from model.report.charts import uncertainty_charts
+from model.report.charts import depth_error_charts, uncertainty_charts
 from model.report.evaluation import evaluate
-from model.report.reliability import Reliability, ReliabilityCount
+from model.report.reliability import DepthReliabilityCount, Reliability, ReliabilityCount
 
 FREQUENCY_HZ = 20e6
 PROBABLE = {"target": "mask+depth", "loss": "bce+iou+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
@@ -78,6 +78,50 @@ def test_the_report_of_a_network_with_probabilities_has_them(closed_form_scenes,
     assert (tmp_path / "report" / "figures" / "reliability.png").is_file()
 
 
+def test_expected_errors_of_the_depth_are_compared_where_the_object_was_found():
+    rng = np.random.default_rng(2)
+    expected_m = np.repeat([0.004, 0.03, 0.7, 1e-5], 5000).reshape(4, 50, 100)
+    truth_m = np.full(expected_m.shape, 3.0)
+    depth_m = truth_m + rng.laplace(scale=expected_m)  # whose mean absolute value is the scale
+    mask, mask_gt = rng.random((2, *expected_m.shape)) < 0.7
+    found = mask & mask_gt
+    count = DepthReliabilityCount()
+    for part in (slice(0, 1), slice(1, 4)):
+        phasor = np.zeros(depth_m[part].shape, np.complex64)
+        each = DepthMap((mask * depth_m)[part], mask[part], phasor, FREQUENCY_HZ, expected_m[part])
+        count.add(each, (mask_gt * truth_m)[part], mask_gt[part].astype(np.uint8))
+    curve = count.curve()
+    sizes = [int(found[i].sum()) for i in range(4)]
+    assert curve.pixels == (sizes[3], sizes[0], sizes[1], sizes[2])
+    np.testing.assert_allclose(curve.expected_m, [1e-5, 0.004, 0.03, 0.7])
+    # The standard deviation of |x| is its mean: four standard errors.
+    assert np.all(np.abs(np.divide(curve.actual_m, curve.expected_m) - 1) < 4 / np.sqrt(min(sizes)))
+    error_m = np.abs(depth_m - truth_m)
+    assert curve.means_m == pytest.approx((expected_m[found].mean(), error_m[found].mean()))
+    assert curve.as_data()["mean_actual_m"] == curve.means_m[1]
+    unexpected = DepthReliabilityCount()
+    unexpected.add(DepthMap(depth_m, mask, depth_m * 1j, FREQUENCY_HZ), truth_m, mask_gt)
+    assert unexpected.curve() is None
+
+
+def test_the_report_of_a_network_with_uncertainty_has_the_errors(closed_form_scenes, tmp_path, shards):
+    chosen = PROBABLE | {"uncertainty": True, "mask_threshold": 0.1}
+    run = train_on_one_thread(closed_form_scenes, tmp_path / "run", **chosen)
+    report = evaluate(
+        run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
+    )
+    found = json.loads((tmp_path / "report" / "metrics.json").read_text())["depth_reliability"]
+    block = shards.read(shards.rows("train"))
+    prediction = load(run, "cpu").predict(block.complex_phasors())
+    on_object = prediction.mask & (block.mask > 0)
+    assert sum(found["pixels"]) == on_object.sum() > 0
+    assert found["mean_expected_m"] == pytest.approx(prediction.depth_error_m[on_object].mean(), rel=1e-5)
+    assert (tmp_path / "report" / "figures" / "depth_error.png").is_file()
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert f"{100 * found['mean_expected_m']:.1f} cm are expected" in " ".join(page.split())
+    assert [chart.name for chart in depth_error_charts(report)] == ["depth_error"]
+
+
 def test_a_network_without_probabilities_has_no_uncertainty(finished_run, closed_form_scenes, tmp_path):
     report = evaluate(
         finished_run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
@@ -85,5 +129,6 @@ def test_a_network_without_probabilities_has_no_uncertainty(finished_run, closed
     content = json.loads((tmp_path / "report" / "metrics.json").read_text())
     assert content["reliability"] is None
     assert content["expected_mae_m"] is None
-    assert uncertainty_charts(report) == ()
+    assert content["depth_reliability"] is None
+    assert uncertainty_charts(report) == depth_error_charts(report) == ()
     assert "predicts no probabilities" in (tmp_path / "report" / "index.html").read_text()

@@ -12,10 +12,14 @@ from itof import unambiguous_range_m
 from model.network.readout import Readout, straight_through
 from model.settings import Target
 
+LARGEST_LOG_ERROR = 10.0
+
 
 @dataclass(frozen=True)
 class MaskAndDepth(Readout):
     """Mask and depth of (N, 2, H, W) outputs: the logit of an object pixel, and its standardised depth.
+
+    A third channel, where the network has it, is the logarithm of the expected error of that depth.
 
     Unlike Re and Im, the depth does not wrap, has no small values where the mask is unsure, and is only
     trained where there is an object. The phasor of the mirrored scene follows from both: its amplitude is the
@@ -26,6 +30,7 @@ class MaskAndDepth(Readout):
     depth_mean_m, depth_spread_m : the depth is mean + spread · output, metres: mean and standard deviation of
         the object's radial depth over the training scenes.
     mask_threshold : a pixel shows the object if its probability is at least this.
+    has_uncertainty : the output has the third channel.
 
     Source: ours.
     """
@@ -34,6 +39,7 @@ class MaskAndDepth(Readout):
     target: Target = "mask+depth"
     depth_mean_m: float = 0.0
     depth_spread_m: float = 1.0
+    has_uncertainty: bool = False
 
     @property
     def of_phasors(self) -> Readout:
@@ -58,6 +64,12 @@ class MaskAndDepth(Readout):
         """(N, H, W) radial depth, metres, 0 outside the mask."""
         return self.mask(output) * self._depth_of_output_m(output)
 
+    def depth_error_m(self, output: Tensor) -> Tensor | None:
+        """(N, H, W) expected absolute error of the depth of an object pixel, metres; None without a third
+        channel.
+        """
+        return self.depth_spread_m * log_error(output).exp() if self.has_uncertainty else None
+
     def standardised(self, radial_depth_m: Tensor) -> Tensor:
         """The output that stands for this depth, metres."""
         return (radial_depth_m - self.depth_mean_m) / self.depth_spread_m
@@ -71,6 +83,9 @@ class MaskAndDepth(Readout):
 @dataclass(frozen=True)
 class MaskAndDepthLoss:
     """L = cross entropy of the mask + (1 - soft IoU) + error of the depth, averaged over images.
+
+    With uncertainty, the mean of |error| / b + log b over the true object's pixels is added, where b is the
+    expected error: the likelihood of a Laplace distribution. The error itself gets no gradient from it.
 
     The soft IoU of the probabilities p and the true mask m is sum(p m) / sum(p + m - p m), and 1 if both are
     empty. The error of the depth is that of the standardised depth, squared below 1 and linear above (smooth
@@ -88,5 +103,14 @@ class MaskAndDepthLoss:
         overlap = torch.where(either > 0, both / either.clamp_min(1e-12), torch.ones_like(either))
         expected = self.readout.standardised(radial_depth_m)
         error = functional.smooth_l1_loss(output[:, 1], expected, reduction="none") * mask
+        if self.readout.has_uncertainty:
+            scale = log_error(output)
+            actual = (output[:, 1] - expected).detach().abs()
+            error = error + (actual * (-scale).exp() + scale) * mask
         depth = error.sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1)
         return (entropy.mean(dim=(1, 2)) + 1 - overlap + depth).mean()
+
+
+def log_error(output: Tensor) -> Tensor:
+    """(N, H, W) logarithm of the expected error of the standardised depth, within bounds."""
+    return output[:, 2].clamp(-LARGEST_LOG_ERROR, LARGEST_LOG_ERROR)

@@ -57,7 +57,7 @@ class Readout:
 
     @property
     def output_channels(self) -> int:
-        """C, number of channels of the network's output."""
+        """C, number of channels of the network's output, without that of the uncertainty."""
         return 1 if self.target == "depth" else 2
 
     @property

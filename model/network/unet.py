@@ -13,6 +13,7 @@ from model.settings import Freeze
 
 LEVELS = 5  # of the encoder; four poolings, so image sizes are padded to multiples of 16 blocks
 HEAD_CHANNELS = (16, 8, 4)  # then the output
+UNCERTAINTY_CHANNELS = (16, 8)  # then the logarithm of the depth's error
 
 
 class UNet(nn.Module):
@@ -29,6 +30,10 @@ class UNet(nn.Module):
     all its values are channels of it; the U-Net's output becomes pixels again before the head's 3x3
     convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/accuracy.md), and the
     U-Net has a quarter of the multiplications with 2. The paper's network has 1.
+
+    *Uncertainty.* With `uncertainty`, a second head like the first one, with 16 and 8 channels, adds one
+    output: the logarithm of the expected error of the depth. It sees the decoder's last features and gives
+    them no gradient, so everything else is trained as without it.
 
     *Padding.* An image size that is not a multiple of 16 blocks is padded to the next multiple and the output
     is cropped. The padding is divided as evenly as possible between the two sides, so that a flip of the
@@ -49,6 +54,7 @@ class UNet(nn.Module):
     width : channels of the first level, at least 1; 32 gives 7,763,270 parameters with 7 input channels.
     output_channels : 2 for Re and Im, 1 for depth.
     block : pixels per side of a position of the U-Net, at least 1.
+    uncertainty : whether there is the second head.
     generator : random generator of the initial weights; None for PyTorch's global one.
 
     Raises
@@ -68,6 +74,7 @@ class UNet(nn.Module):
         *,
         output_channels: int = 2,
         block: int = 1,
+        uncertainty: bool = False,
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
@@ -88,16 +95,13 @@ class UNet(nn.Module):
             for deep, shallow in pairwise(deepest_first)
         )
         self.decoder = nn.ModuleList(_two_convolutions(2 * shallow, shallow) for shallow in deepest_first[1:])
-        head: list[nn.Module] = [nn.Conv2d(width, HEAD_CHANNELS[0] * block**2, kernel_size=1)]
-        if block > 1:
-            head.append(nn.PixelShuffle(block))
-        for before, after in pairwise([*HEAD_CHANNELS, output_channels]):
-            head += [nn.ReLU(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
-        self.head = nn.Sequential(*head)
+        self.head = _head(width, block, (*HEAD_CHANNELS, output_channels))
+        # After all else, so that the other initial weights are those of a network without it.
+        self.uncertainty_head = _head(width, block, (*UNCERTAINTY_CHANNELS, 1)) if uncertainty else None
         self._initialise(generator)
 
     def forward(self, channels: Tensor) -> Tensor:
-        """(N, 2, H, W) Re and Im, or (N, 1, H, W) depth, from (N, C, H, W) input channels."""
+        """(N, C', H, W) output channels from (N, C, H, W) input channels, that of the uncertainty last."""
         height, width = channels.shape[-2:]
         left, right, top, bottom = (*_padding(width, self.block), *_padding(height, self.block))
         x = functional.pad(channels, (left, right, top, bottom), mode="replicate")
@@ -113,11 +117,15 @@ class UNet(nn.Module):
         for upsample, block in zip(self.upsampling, self.decoder, strict=True):
             x = block(torch.cat([skips.pop(), upsample(x)], dim=1))
         with torch.autocast(x.device.type, enabled=False):
-            output: Tensor = self.head(x.to(channels.dtype))
+            features = x.to(channels.dtype)
+            output: Tensor = self.head(features)
+            if self.uncertainty_head is not None:
+                output = torch.cat([output, self.uncertainty_head(features.detach())], dim=1)
         return output[..., top : top + height, left : left + width]
 
     def freeze(self, layers: Freeze) -> None:
-        """Leave some layers out of the training: ``encoder``, or encoder and decoder (``all-but-head``).
+        """Leave some layers out of the training: ``encoder``, encoder and decoder (``all-but-head``), or all
+        but the head of the uncertainty (``all-but-uncertainty``).
 
         There are no normalisation layers, so weights and biases are all that a layer has.
         """
@@ -125,9 +133,19 @@ class UNet(nn.Module):
             "none": (),
             "encoder": (self.encoder,),
             "all-but-head": (self.encoder, self.upsampling, self.decoder),
+            "all-but-uncertainty": (self.encoder, self.upsampling, self.decoder, self.head),
         }
         for part in frozen[layers]:
             part.requires_grad_(False)
+
+    @property
+    def independent_parts(self) -> tuple[list[nn.Parameter], ...]:
+        """Weights whose gradients do not depend on each other: all, or those of the second head apart."""
+        if self.uncertainty_head is None:
+            return (list(self.parameters()),)
+        second = list(self.uncertainty_head.parameters())
+        apart = {id(weight) for weight in second}
+        return [weight for weight in self.parameters() if id(weight) not in apart], second
 
     @property
     def parameter_count(self) -> int:
@@ -135,13 +153,14 @@ class UNet(nn.Module):
         return sum(parameter.numel() for parameter in self.parameters())
 
     def _initialise(self, generator: torch.Generator | None) -> None:
+        last = [head[-1] for head in (self.head, self.uncertainty_head) if head is not None]
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
                 # An output of a transposed convolution with stride 2 depends on one weight per input channel.
                 fan_in = module.in_channels * (
                     1 if isinstance(module, nn.ConvTranspose2d) else module.kernel_size[0] ** 2
                 )
-                is_linear = isinstance(module, nn.ConvTranspose2d) or module is self.head[-1]
+                is_linear = isinstance(module, nn.ConvTranspose2d) or module in last
                 gain = 1.0 if is_linear else 2.0  # ReLU halves the power (He et al., eq. 10)
                 nn.init.normal_(module.weight, std=(gain / fan_in) ** 0.5, generator=generator)
                 if module.bias is not None:
@@ -151,6 +170,16 @@ class UNet(nn.Module):
 def average_with_flip(network: Callable[[Tensor], Tensor], channels: Tensor, output: Tensor) -> Tensor:
     """(N, C', H, W) mean of `output` of (N, C, H, W) channels and of that of the images upside down."""
     return (output + network(channels.flip(-2)).flip(-2)) / 2
+
+
+def _head(width: int, block: int, channels: tuple[int, ...]) -> nn.Sequential:
+    """A 1x1 convolution to the first of `channels`, in pixels again, then 3x3 convolutions to the others."""
+    layers: list[nn.Module] = [nn.Conv2d(width, channels[0] * block**2, kernel_size=1)]
+    if block > 1:
+        layers.append(nn.PixelShuffle(block))
+    for before, after in pairwise(channels):
+        layers += [nn.ReLU(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
+    return nn.Sequential(*layers)
 
 
 def _two_convolutions(before: int, after: int) -> nn.Sequential:

@@ -16,20 +16,22 @@ from itof import DepthMap
 from scenegen import whole_file
 
 PANELS = ("Re", "Im", "radial depth")
+ERROR_PANEL = "expected error of the depth"
 BACKGROUND = "0.88"  # grey of the pixels without object
 LEAST_DEPTH_SPAN_M = 0.4  # with a smaller colour range, the noise of a flat object would look like relief
 DOTS_PER_INCH = 150
 
 
 def prediction_figure(title: str, one: DepthMap) -> Figure:
-    """Re, Im and radial depth of one (H, W) prediction.
+    """Re, Im, radial depth and, where it is known, its expected error, of one (H, W) prediction.
 
-    The outline of the mask is drawn over Re and Im; depth is drawn inside the mask only.
+    The outline of the mask is drawn over Re and Im; depth and error are drawn inside the mask only.
     """
     height, width = one.mask.shape
-    figure = Figure(figsize=(10.5, 1.6 + 3.0 * height / width), layout="constrained")
+    names = PANELS if one.depth_error_m is None else (*PANELS, ERROR_PANEL)
+    figure = Figure(figsize=(3.5 * len(names), 1.6 + 3.0 * height / width), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 3)
+    panels = figure.subplots(1, len(names))
     components = []
     for axes, part in zip(panels[:2], (one.phasor.real, one.phasor.imag), strict=True):
         components.append(axes.imshow(part, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest"))
@@ -37,7 +39,12 @@ def prediction_figure(title: str, one: DepthMap) -> Figure:
     near_m, far_m = depth_range(one)
     depth_m = np.where(one.mask, one.radial_depth_m, np.nan)  # NaN is drawn as background
     depth = panels[2].imshow(depth_m, vmin=near_m, vmax=far_m, cmap="viridis", interpolation="nearest")
-    finish_panels(panels, titles=True)
+    if one.depth_error_m is not None:
+        error_cm = np.where(one.mask, 100 * one.depth_error_m, np.nan)
+        most_cm = float(np.nanmax(error_cm, initial=0.1))
+        error = panels[3].imshow(error_cm, vmin=0, vmax=most_cm, cmap="magma", interpolation="nearest")
+        figure.colorbar(error, ax=[panels[3]], location="bottom", aspect=20, pad=0.03, label="cm")
+    finish_panels(panels, titles=names)
     figure.colorbar(components[1], ax=list(panels[:2]), location="bottom", aspect=40, pad=0.03)
     bar = figure.colorbar(depth, ax=[panels[2]], location="bottom", aspect=20, pad=0.03, label="m")
     bar.locator = MaxNLocator(4)
@@ -64,14 +71,14 @@ def depth_range(*views: DepthMap) -> tuple[float, float]:
     return 0.0, 1.0
 
 
-def finish_panels(row: Sequence[Axes], *, titles: bool) -> None:
-    """Remove the ticks of the three panels of a row, colour their background, add their titles."""
-    for axes, name in zip(row, PANELS, strict=True):
+def finish_panels(row: Sequence[Axes], *, titles: Sequence[str] = ()) -> None:
+    """Remove the ticks of the panels of a row, colour their background, add their titles if there are any."""
+    for axes in row:
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_facecolor(BACKGROUND)
-        if titles:
-            axes.set_title(name, fontsize=11)
+    for axes, name in zip(row, titles, strict=False):
+        axes.set_title(name, fontsize=11)
 
 
 def plain(text: str) -> str:

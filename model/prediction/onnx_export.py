@@ -21,11 +21,17 @@ from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
+from model.settings import TrainSettings
 from scenegen import NightError, PathLike, whole_file
 
 INPUT: Final = "channels"
-# Names of the output, by settings.target.
-OUTPUTS: Final = {"components": "components", "depth": "radial_depth_m", "mask+depth": "logit_and_depth"}
+# Names of the output, by settings.target and settings.uncertainty.
+OUTPUTS: Final = {
+    ("components", False): "components",
+    ("depth", False): "radial_depth_m",
+    ("mask+depth", False): "logit_and_depth",
+    ("mask+depth", True): "logit_depth_and_log_error",
+}
 METADATA: Final = "night.run"  # key of the metadata; its value is ``run.json``
 NEEDED: Final = ("onnx", "onnxruntime", "onnxscript")
 # Batches of the check: number of images, amplitude of their channels. There are several amplitudes because
@@ -70,8 +76,9 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
     The input ``channels`` (N, C, H, W) float32 are those of `InputSpec.apply`. The output ``components``
     (N, 2, H, W) float32 is Re and Im of the mirrored scene; of a network that predicts depth it is
     ``radial_depth_m`` (N, 1, H, W), metres, before any threshold, and of one that predicts mask and depth
-    ``logit_and_depth`` (N, 2, H, W), whose depth is standardised by ``object_depth_m``. N is free,
-    H and W are those of the training. The metadata ``night.run`` contains ``run.json``: channels, their
+    ``logit_and_depth`` (N, 2, H, W), whose depth is standardised by ``object_depth_m``; with uncertainty
+    ``logit_depth_and_log_error`` (N, 3, H, W), with the logarithm of the expected error of that depth. N is
+    free, H and W are those of the training. The metadata ``night.run`` contains ``run.json``: channels, their
     constants, camera and wall.
 
     Before the file gets its name, ONNX Runtime computes outputs of smooth random channels with it, and they
@@ -111,6 +118,11 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
     return check
 
 
+def output_name(settings: TrainSettings) -> str:
+    """Name of the output of a network with these settings."""
+    return OUTPUTS[settings.target, settings.uncertainty]
+
+
 def _onnx_model(network: UNet, config: RunConfig) -> Any:
     """The network as an `onnx.ModelProto` with the run's configuration in its metadata."""
     import onnx
@@ -122,7 +134,7 @@ def _onnx_model(network: UNet, config: RunConfig) -> Any:
             network,
             (torch.zeros(shape),),
             input_names=[INPUT],
-            output_names=[OUTPUTS[config.settings.target]],
+            output_names=[output_name(config.settings)],
             dynamic_shapes=({0: torch.export.Dim("N", min=1)},),
             dynamo=True,
             verbose=False,
@@ -152,7 +164,7 @@ def _compare(file: Path, network: UNet, config: RunConfig, seed: int) -> OnnxChe
         channels = strength * _smooth_channels(count, config, generator)
         ours = _run(network, channels)
         truth = _run(exact, channels.double())
-        theirs = np.asarray(session.run([OUTPUTS[config.settings.target]], {INPUT: channels.numpy()})[0])
+        theirs = np.asarray(session.run([output_name(config.settings)], {INPUT: channels.numpy()})[0])
         if not all(np.isfinite(output).all() for output in (ours, truth, theirs)):
             raise ExportError(
                 "the network answers with NaN or infinite values to random channels: its weights are of no "

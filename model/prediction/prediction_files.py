@@ -48,6 +48,8 @@ class PredictedImage:
     files : names of its files in the output folder.
     wall : the relay wall as the measurement shows it; None if it shows none.
     expected_mae_m : MAE over all pixels that the network expects, metres; None without probabilities.
+    expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
+        if it expects none, or without an object.
     """
 
     name: str
@@ -56,6 +58,7 @@ class PredictedImage:
     files: tuple[str, ...]
     wall: WallFound | None
     expected_mae_m: float | None = None
+    expected_depth_error_m: float | None = None
 
     @property
     def sentence(self) -> str:
@@ -65,8 +68,13 @@ class PredictedImage:
             return f"image {self.name}: no pixel shows an object, so it has no point cloud{own}"
         return (
             f"image {self.name}: {self.object_pixels} pixels show an object, at a median radial depth of "
-            f"{self.median_radial_depth_m:.2f} m{own}"
+            f"{self.median_radial_depth_m:.2f} m{self._depth_error}{own}"
         )
+
+    @property
+    def _depth_error(self) -> str:
+        error_m = self.expected_depth_error_m
+        return "" if error_m is None else f"; expected error of the depth {100 * error_m:.1f} cm"
 
 
 @dataclass(frozen=True)
@@ -204,13 +212,15 @@ def _write(
     one.write(folder / files[0], attributes)
     write_figure(folder / files[1], prediction_figure(f"{attributes['measurement']}, image {name}", one))
     points_m = object_points(one.radial_depth_m, one.mask, predictor.config.geometry.horizontal_fov_deg)
-    median_m = None
+    median_m = error_m = None
     if len(points_m):
+        if one.depth_error_m is not None:
+            error_m = float(one.depth_error_m[one.mask].mean(dtype=np.float64))
         files.append(f"{name}.ply")
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
     own_m = expected_mae_m(one) if predictor.config.settings.predicts_probability else None
-    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m)
+    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m, error_m)
 
 
 def _with_wall(

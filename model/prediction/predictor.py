@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from itof import DepthMap, amplitude, join_components
 from itof.wall.expected_wall import ExpectedWall
 from model.device import choose_device, plain_memory_errors
 from model.network.channels import ChannelError
+from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet, average_with_flip
 from model.run_folder.run_config import RunConfig, RunError, read_config
@@ -76,7 +78,8 @@ class Predictor:
         Returns
         -------
         Depth map with (H, W) or (N, H, W) radial depth float32 in metres, mask bool and phasor complex64 at
-        `config.output_frequency_hz`.
+        `config.output_frequency_hz`, and the expected error of the depth float32 in metres if the run has
+        the setting ``uncertainty``.
 
         Raises
         ------
@@ -94,10 +97,7 @@ class Predictor:
             self._predict_some(self._channels(images[start : start + BATCH], known))
             for start in range(0, len(images), BATCH)
         ]
-        radial_depth_m, mask, phasor = (
-            np.concatenate(each) for each in zip(*parts, strict=True)
-        )  # (N, H, W)
-        predicted = DepthMap(radial_depth_m, mask, phasor, self.config.readout.frequency_hz)
+        predicted = _joined(parts)
         return predicted[0] if z.ndim == 3 else predicted
 
     @property
@@ -156,9 +156,7 @@ class Predictor:
 
     @plain_memory_errors()
     @torch.no_grad()
-    def _predict_some(
-        self, channels: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
+    def _predict_some(self, channels: NDArray[np.float32]) -> DepthMap:
         self.network.eval()
         images = torch.from_numpy(channels).to(self.device)
         output = self.network(images)  # (N, C, H, W)
@@ -179,14 +177,31 @@ def _refuse_not_phasors(z: NDArray[np.generic], what: str) -> None:
         raise InputError(f"{what} holds NaN or infinite values")
 
 
-def read_output(
-    output: Tensor, readout: Readout
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.complex64]]:
-    """Radial depth in metres, mask and phasor, each (N, H, W), of network outputs (N, C, H, W)."""
+def read_output(output: Tensor, readout: Readout) -> DepthMap:
+    """Depth maps (N, H, W) of network outputs (N, C, H, W)."""
     output = output.detach()
     components = np.moveaxis(readout.components(output).cpu().numpy(), 1, -1)  # (N, H, W, 2)
     phasor = join_components(components)[..., 0].astype(np.complex64)  # (N, H, W)
-    return readout.radial_depth_m(output).cpu().numpy(), readout.mask(output).cpu().numpy() > 0, phasor
+    error_m = readout.depth_error_m(output) if isinstance(readout, MaskAndDepth) else None
+    return DepthMap(
+        readout.radial_depth_m(output).cpu().numpy(),
+        readout.mask(output).cpu().numpy() > 0,
+        phasor,
+        readout.frequency_hz,
+        None if error_m is None else error_m.cpu().numpy(),
+    )
+
+
+def _joined(parts: Sequence[DepthMap]) -> DepthMap:
+    """Depth maps (N, H, W) as one."""
+    errors_m = [part.depth_error_m for part in parts if part.depth_error_m is not None]
+    return DepthMap(
+        np.concatenate([part.radial_depth_m for part in parts]),
+        np.concatenate([part.mask for part in parts]),
+        np.concatenate([part.phasor for part in parts]),
+        parts[0].frequency_hz,
+        np.concatenate(errors_m) if errors_m else None,
+    )
 
 
 def load(run: PathLike, device: DeviceName = "auto") -> Predictor:

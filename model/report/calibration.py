@@ -107,9 +107,8 @@ class ThresholdSweep:
     ) -> None:
         """Add images (N, H, W): predicted phasors, true radial depth in metres, true mask."""
         output = output_of(phasor)  # (N, 2, H, W)
-        everywhere, _, _ = read_output(
-            output, replace(self._readout, mask_from="amplitude", mask_threshold=0.0)
-        )
+        readout = replace(self._readout, mask_from="amplitude", mask_threshold=0.0)
+        everywhere = read_output(output, readout).radial_depth_m
         amplitudes = self._readout.components(output).norm(dim=1).cpu().numpy()  # (N, H, W)
         for depth_m, amplitude, truth_m, truth in zip(
             everywhere, amplitudes, radial_depth_gt_m, mask_gt > 0, strict=True
@@ -150,8 +149,8 @@ class ThresholdSweep:
 
 def reread(prediction: DepthMap, readout: Readout) -> DepthMap:
     """Depth maps (N, H, W) of the same network outputs, read with another readout."""
-    output = read_output(output_of(prediction.phasor), readout.of_phasors)
-    return DepthMap(*output, frequency_hz=readout.frequency_hz)
+    read = read_output(output_of(prediction.phasor), readout.of_phasors)
+    return replace(read, frequency_hz=readout.frequency_hz, depth_error_m=prediction.depth_error_m)
 
 
 def output_of(phasor: NDArray[np.complex64]) -> Tensor:

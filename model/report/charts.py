@@ -160,6 +160,28 @@ def uncertainty_charts(report: Report) -> tuple[Chart, ...]:
     )
 
 
+def depth_error_charts(report: Report) -> tuple[Chart, ...]:
+    """Actual against expected error of the depth of object pixels; none for a network without expectation."""
+    found = report.depth_reliability
+    if found is None:
+        return ()
+    expected, actual = (tuple(100 * m for m in values) for values in (found.expected_m, found.actual_m))
+    most = max(*expected, *actual)
+    mean_expected, mean_actual = (100 * mean_m for mean_m in found.means_m)
+    return (
+        Chart(
+            "depth_error",
+            "expected error of the depth, cm",
+            "mean error of the depth, cm",
+            (
+                Curve("as expected", "baseline", (0.0, most), (0.0, most), width_pt=1.2),
+                Curve(f"{sum(found.pixels)} object pixels in bins", "prediction", expected, actual, "dots"),
+                Curve("mean", "truth", (mean_expected,), (mean_actual,), "rings"),
+            ),
+        ),
+    )
+
+
 def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
     """Mean mIoU and mean MAE against the mask threshold."""
     return (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from model.network.metrics import ImageMetrics
-from model.prediction.figures import depth_range, finish_panels, plain
+from model.prediction.figures import PANELS, depth_range, finish_panels, plain
 
 
 def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics: ImageMetrics) -> Figure:
@@ -31,7 +31,7 @@ def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics
     for row, (name, view) in enumerate((("ground truth", truth), ("prediction", prediction))):
         component, depth = draw_view(axes[row], view, range_m)
         axes[row, 0].set_ylabel(name, fontsize=11)
-        finish_panels(axes[row], titles=row == 0)
+        finish_panels(axes[row], titles=PANELS if row == 0 else ())
     _colour_bars(figure, axes, component, depth)
     figure.suptitle(f"{plain(title)}\n{describe(metrics)}", fontsize=11)
     return figure

@@ -28,7 +28,7 @@ from model.prediction.predictor import BATCH, Predictor
 from model.report.calibration import SWEEP, Calibration, ThresholdCurve, ThresholdSweep, reread
 from model.report.groups import group_tables
 from model.report.refusals import EvaluationError
-from model.report.reliability import ReliabilityCount
+from model.report.reliability import DepthReliabilityCount, ReliabilityCount
 from model.report.results import Report
 from model.report.scene_result import SceneResult, judge_scene
 from model.report.showcase import ShownScene
@@ -86,12 +86,13 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
     EvaluationError : no scene of the split is rendered.
     """
     sweep = ThresholdSweep(split, bench.thresholds, bench.readout)
-    reliability = ReliabilityCount()
+    reliability, depth_reliability = ReliabilityCount(), DepthReliabilityCount()
     has_probability = bench.predictor.config.settings.predicts_probability
     results: list[SceneResult] = []
     for block, predictions in bench.predictions(split):
         sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
         reliability.add(predictions.phasor, block.mask)
+        depth_reliability.add(predictions, block.radial_depth_m, block.mask)
         for index, scene in enumerate(bench.shards.ids(block.rows)):
             truth_m, mask = block.radial_depth_m[index], block.mask[index]
             prediction = predictions[index]
@@ -116,6 +117,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
         groups=group_tables(results, (location.x, location.y, location.z)),
         calibration=_calibration(bench, sweep.curve()),
         reliability=reliability.curve() if has_probability else None,
+        depth_reliability=depth_reliability.curve(),
     )
 
 

@@ -21,6 +21,7 @@ from model.report.calibration import Calibration
 from model.report.chart_png import chart_figure
 from model.report.charts import (
     calibration_curves,
+    depth_error_charts,
     distributions,
     roundness_chart,
     training_curves,
@@ -65,7 +66,7 @@ def write_page(
     charts = {
         "distributions": distributions(report),
         "roundness": (roundness_chart(report),),
-        "uncertainty": uncertainty_charts(report),
+        "uncertainty": (*uncertainty_charts(report), *depth_error_charts(report)),
         "thresholds": calibration_curves(report.calibration),
         "training": training_curves(read_history(run)),
     }
@@ -96,6 +97,7 @@ def write_page(
         groups=_groups(report),
         share_column=GROUP_HEAD.index("MAE, cm"),
         threshold=_threshold(report.calibration),
+        depth_errors_m=report.depth_reliability.means_m if report.depth_reliability else None,
         calibration_error=report.reliability.calibration_error if report.reliability else None,
         configuration=_configuration(config, origin, report),
     )

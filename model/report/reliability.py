@@ -1,4 +1,4 @@
-"""Whether the probabilities of a network hold."""
+"""Whether the probabilities of a network, and the errors that it expects of its depth, hold."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from itof import DepthMap
 from model.prediction.expected_error import probabilities
 
 BINS: Final = 20  # of the probability
+_ERRORS_M: Final = np.geomspace(5e-4, 0.5, 19)  # edges of the bins of the expected error of the depth
 
 
 @dataclass(frozen=True)
@@ -75,5 +77,73 @@ class ReliabilityCount:
         return Reliability(
             tuple((self._probable[there] / count).tolist()),
             tuple((self._shown[there] / count).tolist()),
+            tuple(count.astype(int).tolist()),
+        )
+
+
+@dataclass(frozen=True)
+class DepthReliability:
+    """Object pixels that were found, by the expected error of their depth; empty bins are left out.
+
+    Attributes
+    ----------
+    expected_m : mean expected error of the pixels of each bin, metres, ascending.
+    actual_m : mean absolute error of the depth of these pixels, metres.
+    pixels : their number.
+    """
+
+    expected_m: tuple[float, ...]
+    actual_m: tuple[float, ...]
+    pixels: tuple[int, ...]
+
+    @property
+    def means_m(self) -> tuple[float, float]:
+        """Expected and actual error as means over all these pixels, metres."""
+        expected_m, actual_m = (
+            float(np.average(values, weights=self.pixels)) for values in (self.expected_m, self.actual_m)
+        )
+        return expected_m, actual_m
+
+    def as_data(self) -> dict[str, Any]:
+        """The curve and its means as plain data."""
+        expected_m, actual_m = self.means_m
+        return {**asdict(self), "mean_expected_m": expected_m, "mean_actual_m": actual_m}
+
+
+class DepthReliabilityCount:
+    """Counts the pixels of many images for a `DepthReliability`."""
+
+    def __init__(self) -> None:
+        self._pixels, self._expected_m, self._actual_m = np.zeros((3, len(_ERRORS_M) + 1))
+
+    def add(
+        self,
+        prediction: DepthMap,
+        radial_depth_gt_m: NDArray[np.float32],
+        mask_gt: NDArray[np.uint8],
+    ) -> None:
+        """Add images (..., H, W): predictions, true radial depth in metres and true mask."""
+        if prediction.depth_error_m is None:
+            return
+        found = prediction.mask & (mask_gt > 0)
+        expected_m = prediction.depth_error_m[found].astype(np.float64)
+        actual_m = np.abs(prediction.radial_depth_m[found].astype(np.float64) - radial_depth_gt_m[found])
+        places = np.searchsorted(_ERRORS_M, expected_m)
+        for total, weights in (
+            (self._pixels, None),
+            (self._expected_m, expected_m),
+            (self._actual_m, actual_m),
+        ):
+            total += np.bincount(places, weights, minlength=len(total))
+
+    def curve(self) -> DepthReliability | None:
+        """The curve of all images so far; None without a pixel that has an expected error."""
+        there = self._pixels > 0
+        if not there.any():
+            return None
+        count = self._pixels[there]
+        return DepthReliability(
+            tuple((self._expected_m[there] / count).tolist()),
+            tuple((self._actual_m[there] / count).tolist()),
             tuple(count.astype(int).tolist()),
         )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from model.network.metrics import Statistics, Summary
 from model.report.calibration import Calibration
 from model.report.groups import GroupTable
-from model.report.reliability import Reliability
+from model.report.reliability import DepthReliability, Reliability
 from model.report.scene_result import SceneResult
 from model.report.table_one import AccuracyHistogram, accuracy_histogram
 from scenegen import Split
@@ -54,6 +54,7 @@ class Report:
     groups : averages by shape, roughness, position and size.
     calibration : averages for other mask thresholds, and the threshold of the evaluation.
     reliability : of the probabilities; None if the network predicts none.
+    depth_reliability : of the expected errors of the depth; None if it expects none, or finds no object.
     """
 
     split: Split
@@ -63,6 +64,7 @@ class Report:
     groups: tuple[GroupTable, ...]
     calibration: Calibration
     reliability: Reliability | None = None
+    depth_reliability: DepthReliability | None = None
 
     @property
     def ranked(self) -> list[SceneResult]:

@@ -76,7 +76,7 @@ def _draw_scene(panels: Sequence[Axes], scene: ShownScene) -> tuple[AxesImage, A
     range_m = depth_range(scene.truth, scene.prediction)
     for first, view in ((0, scene.truth), (1, scene.prediction)):
         component, depth = draw_view(panels[first::2], view, range_m)
-        finish_panels(panels[first::2], titles=False)
+        finish_panels(panels[first::2])
     metrics = scene.result.prediction
     panels[-1].text(
         *(0.03, 0.95),

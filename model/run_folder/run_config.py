@@ -43,6 +43,7 @@ _LATER: Final = (
     "block",
     "train_scenes",
     "least_reflectance",
+    "uncertainty",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
@@ -130,6 +131,7 @@ class RunConfig:
                 mask_from="amplitude",
                 depth_mean_m=self.object_depth_m[0],
                 depth_spread_m=self.object_depth_m[1],
+                has_uncertainty=settings.uncertainty,
             )
         return Readout(
             *(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone),
@@ -145,6 +147,7 @@ class RunConfig:
             self.settings.width,
             output_channels=self.readout.output_channels,
             block=self.settings.block,
+            uncertainty=self.settings.uncertainty,
             generator=generator,
         )
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from model.data.augmentation import Draws
 from model.data.batches import Batch
+from model.network.mask_and_depth import MaskAndDepth
 from model.network.metrics import mask_iou
 from model.network.unet import UNet, average_with_flip
 from model.run_folder.history import EpochRecord
@@ -23,7 +24,7 @@ from model.training.loss_watch import LossError, LossWatch
 from model.training.optimisation import learning_rate
 from model.training.refusals import TrainingError
 from model.training.state import TrainingState
-from model.training.temperature import LogitCount, logit_factor
+from model.training.uncertainty_fit import UncertaintyFit
 from scenegen.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -64,7 +65,7 @@ def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: In
 
 @torch.no_grad()
 def validate(state: TrainingState, train_loss: float, between_batches: Callable[[], None]) -> EpochRecord:
-    """Mean loss and metrics of the validation scenes, without augmentation; fits ``state.logit_factor``.
+    """Mean loss and metrics of the validation scenes, without augmentation; fits ``state.uncertainty``.
 
     Raises
     ------
@@ -73,20 +74,21 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
     network = state.optimisation.judged.eval()
     feed = state.feeds["validation"]
     sums = torch.zeros(4, dtype=torch.float64, device=state.processes.device)
-    logits = LogitCount(state.processes.device) if state.settings.predicts_probability else None
+    readout = state.config.readout
+    fit = UncertaintyFit(readout, state.processes.device) if isinstance(readout, MaskAndDepth) else None
     for block in feed.in_order(state.settings.batch_size):
         part = block.take([block.rows[place] for place in state.processes.share(range(len(block)))])
         batch = state.maker.batch(part)
         output = state.step.output(batch, network)
         loss = state.step.judge(output, batch)
-        depth_error_m = (state.config.readout.radial_depth_m(output) - batch.radial_depth_m).abs().mean()
-        pred, truth = state.config.readout.mask(output) > 0, batch.mask > 0
+        depth_error_m = (readout.radial_depth_m(output) - batch.radial_depth_m).abs().mean()
+        pred, truth = readout.mask(output) > 0, batch.mask > 0
         miou = torch.stack([mask_iou(pred, truth), mask_iou(~pred, ~truth)]).mean()
         bad = (~output.isfinite()).sum()
         each = torch.stack([loss.double(), depth_error_m.double(), miou.double(), bad.double()])
         sums += state.processes.own(len(block)) * each
-        if logits and state.processes.own(len(block)):
-            logits.add(_predicted(state, batch, output, network)[:, 0], batch.mask)
+        if fit and state.processes.own(len(block)):
+            fit.add(_predicted(state, batch, output, network), batch.radial_depth_m, batch.mask)
         between_batches()
     loss, depth_mae_m, miou, bad_outputs = (state.processes.total(sums) / len(feed.rows)).tolist()
     record = EpochRecord(
@@ -100,8 +102,8 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
         validation_miou=miou,
     )
     _refuse_bad_validation(record, bad_outputs > 0)
-    if logits:
-        state.logit_factor = logit_factor(state.processes.total(logits.sums))
+    if fit:
+        state.uncertainty = fit.result(state.processes.total)
     return record
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from model.device import plain_memory_errors
@@ -69,9 +70,19 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
     with plain_memory_errors():
         network = config.network()
         content = load_weights(run, network, config)
+        weights = dict(network.state_dict())
+        if settings.uncertainty and not config.settings.uncertainty:
+            weights |= _new_head(config, settings)
     name = run.resolve().name[:255]
     origin = StartingWeights(run=name, run_id=config.run_id, sha256=hashlib.sha256(content).hexdigest())
-    return Start(config, dict(network.state_dict()), origin)
+    return Start(config, weights, origin)
+
+
+def _new_head(config: RunConfig, settings: TrainSettings) -> dict[str, Tensor]:
+    """Initial weights of the head of the uncertainty, for a network that has none."""
+    wanted = replace(config, settings=replace(config.settings, uncertainty=True))
+    network = wanted.network(torch.Generator().manual_seed(settings.seed))
+    return {name: weight for name, weight in network.state_dict().items() if "uncertainty" in name}
 
 
 def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path) -> None:
@@ -81,6 +92,8 @@ def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path)
         if name == "frequencies_hz":
             theirs = config.inputs.frequencies_hz
             ours = theirs if ours is None else ours
+        if name == "uncertainty" and ours:
+            continue  # its head may be new: it changes nothing else
         if ours != theirs:
             raise RunError(
                 f"{name} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "

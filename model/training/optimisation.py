@@ -68,7 +68,7 @@ class Optimisation:
     steps : number of steps so far.
     average : exponential moving average of the weights (Polyak averaging), or None.
     gradient_norm : norm of the gradient in the last step, before clipping; 0 before the first step, and
-        always 0 without clipping.
+        always 0 without clipping; with uncertainty, of all but its head.
     """
 
     def __init__(
@@ -105,7 +105,9 @@ class Optimisation:
         self.scaler.scale(loss).backward()
         if self.settings.clip_norm > 0:
             self.scaler.unscale_(self.adam)
-            self.gradient_norm = clip_grad_norm_(self.network.parameters(), self.settings.clip_norm)
+            self.gradient_norm, *_ = (
+                clip_grad_norm_(part, self.settings.clip_norm) for part in self.network.independent_parts
+            )
         self.scaler.step(self.adam)
         self.scaler.update()
         if self.average is not None:

@@ -30,7 +30,7 @@ from model.training.optimisation import epochs_without_improvement
 from model.training.processes import Processes, processes_of_this_machine
 from model.training.refusals import TrainingError, naming_disk
 from model.training.step import TrainingStep
-from model.training.temperature import scaled_logits
+from model.training.uncertainty_fit import UncertaintyFactors
 from scenegen import Split
 
 _log = logging.getLogger(__name__)
@@ -45,8 +45,8 @@ class TrainingState:
     step, optimisation : network and optimiser.
     maker, feeds : make the batches of the training and validation scenes.
     history : record of each finished epoch.
-    logit_factor : what makes the probabilities of the last validation hold (`model.training.temperature`).
-    best_weights : weights of the epoch with the smallest validation loss, on the CPU, with that factor.
+    uncertainty : factors that make the probabilities and expected errors of the last validation hold.
+    best_weights : weights of the epoch with the smallest validation loss, on the CPU, with these factors.
     batches_done : batches of the current epoch that are done.
     loss_total : sum of the losses of this process's scenes in the current epoch.
     saved_at : time of the last checkpoint on the monotonic clock, seconds.
@@ -75,7 +75,7 @@ class TrainingState:
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
         self.optimisation = self.step.optimisation
         self.history: list[EpochRecord] = []
-        self.logit_factor = 1.0
+        self.uncertainty = UncertaintyFactors()
         self.best_weights: dict[str, Tensor] = {}
         self.batches_done, self.loss_total = 0, torch.zeros((), dtype=torch.float64, device=device)
         self.saved_at = time.monotonic()
@@ -115,7 +115,7 @@ class TrainingState:
             network = self.optimisation.judged
             weights = network.state_dict()
             if self.settings.predicts_probability:
-                weights = scaled_logits(network, weights, self.logit_factor)
+                weights = self.uncertainty.weights(network, weights)
             self.best_weights = {
                 name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in weights.items()
             }

@@ -8,7 +8,7 @@ from scipy.special import expit
 from training_runs import FLIP, train_on_one_thread
 
 from model.prediction.predictor import load
-from model.training.temperature import LogitCount, logit_factor
+from model.training.uncertainty_fit import LogitCount, logit_factor
 
 PROBABLE = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "width": 8, "batch_size": 2, "block": 2}
 PROBABLE |= {"max_epochs": 15, "learning_rate": 2e-3, "average_flip": True}
@@ -50,7 +50,7 @@ def test_the_kept_weights_have_the_factor_of_their_epoch_and_the_same_masks(
     closed_form_scenes, tmp_path, shards, monkeypatch
 ):
     run = train_on_one_thread(closed_form_scenes, tmp_path / "run", **PROBABLE)
-    monkeypatch.setattr("model.training.epoch.logit_factor", lambda sums: 1.0)
+    monkeypatch.setattr("model.training.uncertainty_fit.logit_factor", lambda sums: 1.0)
     plain = train_on_one_thread(closed_form_scenes, tmp_path / "plain", **PROBABLE)
     scaled, before = load(run, "cpu"), load(plain, "cpu")
     weights, others = (each.network.state_dict() for each in (scaled, before))
