@@ -11,7 +11,7 @@ import click
 from commandline.endings import NightCommand
 from commandline.options import FOLDER, TRAINING
 from commandline.results import JSON, tell
-from scenegen import open_dataset
+from scenegen import PresetError, open_dataset
 
 if TYPE_CHECKING:
     from model import TrainSettings
@@ -69,6 +69,10 @@ def _chosen_settings(
     named = preset or (None if resume else "default")
     data, origin = model.training_preset(named) if named else ({}, "options")
     given = {name: value for name, value in options.items() if value is not None}
-    model.settings_from_dict(given, "options")  # what is wrong with them is not the preset's fault
     inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
-    return model.settings_from_dict(before | data | inherited | given, origin)
+    without = before | data | inherited
+    try:
+        return model.settings_from_dict(without | given, origin)
+    except PresetError:
+        model.settings_from_dict(without, origin)  # its own fault, if it has one
+        return model.settings_from_dict(without | given, "options")

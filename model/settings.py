@@ -13,8 +13,8 @@ from pydantic.fields import FieldInfo
 from scenegen import NightError, PathLike, PresetError, inside, read_settings
 from scenegen.contract import STRICT, Positive, WholeCount, checked
 
-Channels = Literal["paper", "residual", "paper+residual"]
-CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual")
+Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
+CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual", "residual+wall")
 AmplitudeDivisor = Literal["mean", "maximum"]
 Reference = Literal["geometry", "capture", "self", "self+wiggling"]
 LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth"]
@@ -60,7 +60,8 @@ class TrainSettings:
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
-    """Network input. With paper alone the network learns little (docs/design.md)."""
+    """Network input. With paper alone the network learns little (docs/design.md). residual+wall also says
+    where the wall of each image is, for datasets of many corners; it needs reference self."""
     reference: Reference = "geometry"
     """Direct return in the residual channels: computed from camera and wall, or a capture of the empty corner
     that predictions then need, or moved to the wall and phases that each measurement shows (self), which may
@@ -165,6 +166,8 @@ class TrainSettings:
             raise ValueError("frequencies_hz must ascend, each once")
         if self.least_reflectance < 1 and "residual" not in self.channels:
             raise ValueError("least_reflectance needs residual channels, which tell hidden from direct light")
+        if "wall" in self.channels and not self.reference.startswith("self"):
+            raise ValueError(f"channels {self.channels} show the wall that a fit finds: take reference self")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
         if self.uncertainty and not self.predicts_probability:

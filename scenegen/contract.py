@@ -63,6 +63,8 @@ def checked(
             problem = f"unknown key {key}"
         elif first["type"] == "missing":
             problem = f"key {key} is missing"
+        elif first["type"] == "value_error" and not first["loc"]:
+            problem = first["msg"].removeprefix("Value error, ")  # of several keys together, which it names
         else:
             given = f" (got {_shortened(first['input'])})" if not isinstance(first["input"], dict) else ""
             problem = f"{key}: {first['msg'].removeprefix('Value error, ')}{given}"

@@ -171,6 +171,18 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
+class CameraSpread:
+    """Each scene has its camera elsewhere: a dataset of many corners.
+
+    Every coordinate of `CameraSettings.location_m` is moved by up to `location_m`, and every angle of its
+    rotation by up to `rotation_deg`, either way and evenly distributed. The projector goes with the camera.
+    """
+
+    location_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    rotation_deg: Annotated[float, Field(ge=0, le=90)] = 0.0
+
+
+@dataclass(frozen=True, config=STRICT)
 class TransientSettings:
     """Time axis, and the number of surfaces that light may meet (`max_bounces`).
 
@@ -218,10 +230,18 @@ class Preset:
     camera: CameraSettings = CameraSettings()
     transient: TransientSettings = TransientSettings()
     itof: ItofSettings = ItofSettings()
-    # Left out of files where it is the default, so that they have the bytes of version 0.1.
+    # Left out of files where they are the default, so that these have the bytes of version 0.1.
+    camera_spread: Annotated[CameraSpread, Field(exclude_if=lambda value: value == CameraSpread())] = (
+        CameraSpread()
+    )
     ground_truth: Annotated[
         GroundTruthSettings, Field(exclude_if=lambda value: value == GroundTruthSettings())
     ] = GroundTruthSettings()
+
+    @property
+    def is_one_corner(self) -> bool:
+        """Whether all scenes have the same camera and the same relay wall, but for its roughness."""
+        return self.camera_spread == CameraSpread()
 
     def __post_init__(self) -> None:
         if self.hidden_object.composite_fraction > 0 and len(self.hidden_object.shapes) < 2:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from math import floor
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from scenegen.contract import Vector
 from scenegen.night_error import NightError
 from scenegen.preset import Preset
-from scenegen.scene import COMPOSITE, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
+from scenegen.scene import COMPOSITE, Camera, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000
 
@@ -32,7 +33,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
     if object_class == COMPOSITE:
         parts.append(_sample_second(preset, first, rng))
     roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
-    camera = preset.camera
+    camera = _sample_camera(preset, rng)
     wall = preset.relay_wall
     return Scene(
         index=index,
@@ -171,6 +172,19 @@ def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -
         location_m=_uniform(rng, (location.x, location.y, location.z)),
         rotation_deg=_uniform(rng, (rotation.x, rotation.y, rotation.z)),
         reflectance=settings.reflectance,
+    )
+
+
+def _sample_camera(preset: Preset, rng: np.random.Generator) -> Camera:
+    """The camera of a scene; nothing is drawn where all scenes have the same one."""
+    if preset.is_one_corner:
+        return preset.camera
+    spread, camera = preset.camera_spread, preset.camera
+    moved, turned = (_uniform(rng, ((-by, by),) * 3) for by in (spread.location_m, spread.rotation_deg))
+    return replace(
+        camera,
+        location_m=_sum(camera.location_m, moved),
+        rotation_deg=_sum(camera.rotation_deg, turned),
     )
 
 

@@ -57,7 +57,7 @@ class RelayWall(Wall):
     roughness: Roughness | None
 
 
-Camera = CameraSettings  # every scene has the camera of its preset
+Camera = CameraSettings  # that of the preset, moved by its camera_spread
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -191,6 +191,16 @@ def test_a_trained_network_gets_a_head_for_its_errors_and_keeps_its_depth(
     assert (new.depth_error_m > 0).all()
 
 
+def test_the_command_line_adds_the_head_to_a_network_that_has_none(plain_run, closed_form_scenes, tmp_path):
+    frozen = ("--uncertainty", "--freeze", "all-but-uncertainty", "--max-epochs", 1, "--batch-size", 4)
+    done = night_here(
+        *("night-train", closed_form_scenes.root, "--out", tmp_path / "run", "--from", plain_run, *frozen)
+    )
+    assert done.returncode == 0, done.stderr
+    assert config_of(tmp_path / "run")["settings"]["uncertainty"] is True
+    assert config_of(tmp_path / "run")["settings"]["width"] == 8
+
+
 def test_settings_that_do_not_go_together_are_refused(unsure_run, closed_form_scenes, tmp_path):
     for wrong in ({"uncertainty": True}, PLAIN | {"freeze": "all-but-uncertainty"}):
         with pytest.raises(ValueError, match=r"uncertainty"):

@@ -60,6 +60,7 @@ def check_measurement(
     reference: NDArray[Any] | None = None,
     *,
     self_calibrated: bool = False,
+    known_shift_m: float = 0.0,
 ) -> Plausibility:
     """Compare one measurement with the return of the relay wall.
 
@@ -72,6 +73,7 @@ def check_measurement(
         offsets of the measurement are then compared with it.
     self_calibrated : whether the channels are made by `itof.wall.self_calibration`. Phase offsets then do not
         matter, and neither does a small shift of the wall.
+    known_shift_m : mean shift of the wall, metres, up to which a self-calibrated run has seen walls.
 
     Raises
     ------
@@ -94,7 +96,7 @@ def check_measurement(
     if fit is None or not found(fit):
         return Plausibility((*findings, _no_wall(phasor, wall, reference is not None)), None)
     compared = reference is not None
-    place = _elsewhere(fit, compared) if self_calibrated else _place(fit, wall, compared)
+    place = _elsewhere(fit, compared, known_shift_m) if self_calibrated else _place(fit, wall, compared)
     return Plausibility((*findings, *place, *_scatter(fit, wall)), fit)
 
 
@@ -201,14 +203,18 @@ def _place(fit: WallFit, wall: ExpectedWall, compared: bool) -> Iterator[Finding
     yield Finding(code, f"{what}: {mend}{capture}", misfit_rad >= MISFIT_REFUSED_RAD)
 
 
-def _elsewhere(fit: WallFit, compared: bool) -> Iterator[Finding]:
-    """A wall that is far from its expected place, for a self-calibrated run."""
-    shift_m = fit.mean_shift_m - _SIGMAS * fit.mean_shift_std_m
+def _elsewhere(fit: WallFit, compared: bool, known_shift_m: float) -> Iterator[Finding]:
+    """A wall that is farther from its expected place than those that a self-calibrated run has seen."""
+    shift_m = fit.mean_shift_m - known_shift_m - _SIGMAS * fit.mean_shift_std_m
     if shift_m < CALIBRATED_NOTED_M:
         return
     place = "the reference" if compared else "the run"
     words = f"the wall is not where {place} has it, but {describe_shift(fit)}"
-    words += ": the run was trained on another corner"
+    words += (
+        ": the run was trained on another corner"
+        if not known_shift_m
+        else (f": the run was trained on walls up to {length(known_shift_m)} from there, as a mean")
+    )
     yield Finding("wall-moved", words, shift_m >= CALIBRATED_REFUSED_M)
 
 

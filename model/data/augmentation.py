@@ -198,7 +198,8 @@ class Augmentation:
 
     def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
         """The batch of `rows`, each row changed by its draws."""
-        phasor = self.darkened(maker.measured(rows), rows.reference, draws)
+        direct = None if rows.reference is None else maker.inputs.parted(rows.reference)[0]
+        phasor = self.darkened(maker.measured(rows), direct, draws)
         batch = self.warp(draws)(maker.batch(rows, self.measured(phasor, draws)))
         return replace(batch, channels=self.seen(batch.channels, draws))
 

@@ -80,13 +80,13 @@ class BatchMaker:
     @property
     def reference_bytes(self) -> int:
         """Memory of an image's reference, which `upload` adds to its row, bytes."""
-        return int(self.wall.direct.nbytes) if self.inputs.uses_residual else 0
+        pixels = self.wall.direct[..., 0].nbytes
+        return int(pixels * self.inputs.reference_count)
 
     def _references(self, rows: RowBlock) -> Tensor:
-        """(n, H, W, F) complex64 reference of uploaded rows."""
-        found = torch.empty(
-            (len(rows), *self.wall.direct.shape), dtype=torch.complex64, device=self.wall.rays.device
-        )
+        """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
+        shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
+        found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
         for start in range(0, len(rows), _IMAGES_AT_ONCE):
             some = slice(start, start + _IMAGES_AT_ONCE)
             measured = self.measured(replace(rows, phasors=rows.phasors[some]))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import amplitude, residual_channels
+from itof.wall.expected_wall import ExpectedWall
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
 from model.network.channels import ChannelError, InputSpec
@@ -51,13 +52,14 @@ def fit_input_spec(
     available = shards.manifest.frequencies_hz
     chosen = tuple(frequencies_hz) if frequencies_hz else available
     residuals = 2 * len(chosen) - 1 if "residual" in channels else 0
-    unscaled = InputSpec(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference)
+    no_scale = (1.0, 1.0) if "wall" in channels else None
+    unscaled = InputSpec(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference, no_scale)
     places = unscaled.places(available)
     direct = shards.reference[..., places]
     if unscaled.self_calibrates and view is None:
         raise ValueError(f"the reference {reference} needs the camera and the wall: give view")
     wall = view.expected_wall(direct, chosen) if view and unscaled.self_calibrates else None
-    amplitudes, brightest, means, squares = [], 0.0, [], []
+    amplitudes, brightest, means, squares, walls = [], 0.0, [], [], []
     for phasor in _phasors(shards, rows):
         first = amplitude(phasor[..., places[0]])  # (H, W)
         amplitudes.append(first.mean())
@@ -66,7 +68,11 @@ def fit_input_spec(
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 seen = phasor[..., places]
                 known = unscaled.reference_for(seen, wall) if wall else direct
+                known, inverse = unscaled.parted(known)
                 residual = residual_channels(seen, known)  # (2F - 1, H, W)
+                if unscaled.shows_wall:
+                    inverse = inverse[..., 0].real.astype(np.float64)
+                    walls.append((inverse.mean(), (inverse**2).mean(), _shift_m(inverse, wall)))
                 residual = residual.astype(np.float64)
                 means.append(residual.mean(axis=(1, 2)))
                 squares.append((residual**2).mean(axis=(1, 2)))
@@ -82,6 +88,11 @@ def fit_input_spec(
         variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2  # (2F - 1,)
         # A constant channel carries no information, so its scale does not matter.
         residual_scale = tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variance)
+    if walls:
+        wall_mean, wall_square, _ = np.mean(walls, axis=0).tolist()
+        spread = max(wall_square - wall_mean**2, 0.0) ** 0.5 or 1.0
+        farthest_m = max(shift_m for _, _, shift_m in walls)
+        unscaled = replace(unscaled, wall_scale_per_m=(wall_mean, spread), largest_shift_m=farthest_m)
     mean = float(np.mean(amplitudes))
     if amplitude_divisor == "mean":
         return replace(unscaled, amplitude_scale=mean, residual_scale=residual_scale)
@@ -90,6 +101,18 @@ def fit_input_spec(
         amplitude_scale=brightest,
         residual_scale=residual_scale,
         training_mean_amplitude=mean,
+    )
+
+
+def _shift_m(inverse_distance_per_m: NDArray[np.float64], wall: ExpectedWall | None) -> float:
+    """Mean distance of a wall from the expected one along the rays that meet both, metres."""
+    if wall is None:
+        return 0.0
+    ahead = (inverse_distance_per_m > 0) & np.isfinite(wall.radial_depth_m)
+    return (
+        float(np.abs(1 / inverse_distance_per_m[ahead] - wall.radial_depth_m[ahead]).mean())
+        if ahead.any()
+        else 0.0
     )
 
 

@@ -58,7 +58,7 @@ class RowBlock:
     target : (n, 2, H, W) float32, Re and Im of the mirrored scene at the first frequency.
     radial_depth_m : (n, H, W) float32, metres, 0 on background.
     mask : (n, H, W) uint8, 0 or 1.
-    reference : (n, H, W, F) complex64, direct return of every image with its weights
+    reference : (n, H, W, F or F + 1) complex64, `InputSpec.reference_of_image` of every image
         (`model.network.channels`), which `model.data.batches` adds; None as read from the shards.
     """
 

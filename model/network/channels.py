@@ -34,9 +34,13 @@ class InputSpec:
     standard deviation over the training scenes. This gives the hidden light, 0.2 % of the signal, unit
     variance; without it a network learns little (docs/design.md, Input channels).
 
+    ``residual+wall``: one more, the inverse distance of the wall along the ray of each pixel, as the fit of
+    ``self`` finds it, less its mean and over its standard deviation over the training scenes. With it the
+    network knows the corner, which may be another one in every image.
+
     Attributes
     ----------
-    channels : one of the two sets, or both, paper first.
+    channels : one of these sets, or the first two, paper first.
     frequencies_hz : F modulation frequencies of the input, Hz.
     amplitude_scale : what the amplitude channel is divided by, in the unit of the phasors: mean or maximum of
         A_0 over the training scenes.
@@ -44,11 +48,15 @@ class InputSpec:
     subpixel_weights : how `itof.residual_channels` weights the paths within a pixel. ``uniform`` in runs of
         version 0.1, whose ``run.json`` has no such key: they see what they were trained with.
     reference : where the direct return of the residual channels comes from (`reference_for`).
+    wall_scale_per_m : mean and standard deviation of the inverse distance of the wall, 1/m; None without it.
+    largest_shift_m : with the channel of the wall: the largest mean shift of a wall among the training
+        scenes, metres along the rays.
     training_mean_amplitude : mean A_0 of the training scenes; None if `amplitude_scale` is the mean.
 
     Raises
     ------
-    ValueError : the number of residual scales does not fit `channels` and `frequencies_hz`.
+    ValueError : the number of residual scales does not fit `channels` and `frequencies_hz`; or the channel
+        of the wall lacks its scale or a fit.
 
     Source: ``paper`` from Caligiuri et al. 2024, sec. 4.2; ``residual`` is ours.
     """
@@ -61,6 +69,10 @@ class InputSpec:
         "uniform"
     )
     reference: Annotated[Reference, Field(exclude_if=lambda value: value == "geometry")] = "geometry"
+    wall_scale_per_m: Annotated[
+        tuple[Positive, Positive] | None, Field(exclude_if=lambda value: value is None)
+    ] = None
+    largest_shift_m: Annotated[float, Field(ge=0, exclude_if=lambda value: value == 0)] = 0.0
     training_mean_amplitude: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
 
     def __post_init__(self) -> None:
@@ -71,6 +83,9 @@ class InputSpec:
                 f"residual scales, got {len(self.residual_scale)}"
             )
 
+        if self.shows_wall and not (self.wall_scale_per_m and self.self_calibrates):
+            raise ValueError(f"channels {self.channels} need wall_scale_per_m and the reference self")
+
     @property
     def mean_amplitude(self) -> float:
         """Mean A_0 of the training scenes, in the unit of the phasors."""
@@ -80,6 +95,11 @@ class InputSpec:
     def uses_residual(self) -> bool:
         """Whether `apply` needs the direct return."""
         return "residual" in self.channels
+
+    @property
+    def shows_wall(self) -> bool:
+        """Whether there is the channel of the wall."""
+        return "wall" in self.channels
 
     @property
     def self_calibrates(self) -> bool:
@@ -94,7 +114,13 @@ class InputSpec:
     @property
     def channel_count(self) -> int:
         """C, the number of input channels."""
-        return (self._paper_count if "paper" in self.channels else 0) + len(self.residual_scale)
+        paper = self._paper_count if "paper" in self.channels else 0
+        return paper + len(self.residual_scale) + self.shows_wall
+
+    @property
+    def reference_count(self) -> int:
+        """Values of a pixel in a reference of `reference_for`; 0 if `apply` needs none."""
+        return len(self.frequencies_hz) + self.shows_wall if self.uses_residual else 0
 
     @property
     def _paper_count(self) -> int:
@@ -117,25 +143,38 @@ class InputSpec:
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
     def reference_for(self, phasor: Any, wall: ExpectedWall) -> Any:
-        """The direct return that `apply` needs for these phasors (..., H, W, F).
+        """The reference that `apply` needs for these phasors (..., H, W, F).
 
-        That of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall and phases
-        that each image shows (`itof.wall.self_calibration`), (..., H, W, F).
+        The direct return of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall
+        and phases that each image shows (`itof.wall.self_calibration`), (..., H, W, F). With the channel of
+        the wall its inverse distance, 1/m, follows, (..., H, W, F + 1).
         """
         if not self.self_calibrates:
             return wall.direct
-        return calibrate(phasor, wall, wiggling=self.reference == "self+wiggling").direct
+        fit = calibrate(phasor, wall, wiggling=self.reference == "self+wiggling")
+        if not self.shows_wall:
+            return fit.direct
+        xp = array_namespace(fit.direct)
+        inverse = xp.sum(wall.rays * fit.plane_per_m[..., None, None, :], axis=-1)  # (..., H, W)
+        return xp.concat([fit.direct, xp.astype(inverse, fit.direct.dtype)[..., None]], axis=-1)
 
     def reference_of_image(self, phasor: Any, wall: ExpectedWall) -> Any:
         """`reference_for` these phasors (..., H, W, F), with the weights that their amplitudes give it.
 
-        (..., H, W, F) complex, for `apply` with ``is_weighted``. Noise of relative size σ in the amplitudes
-        changes its phase by less than σ / 40 (`itof.weighted_reference`).
+        (..., H, W, F or F + 1) complex, for `apply` with ``is_weighted``. Noise of relative size σ in the
+        amplitudes changes its phase by less than σ / 40 (`itof.weighted_reference`).
         """
         known = self.reference_for(phasor, wall)
         if self.subpixel_weights == "uniform":
             return known
-        return weighted_reference(known, array_namespace(phasor).abs(phasor[..., 0]))
+        xp, (direct, rest) = array_namespace(phasor), self.parted(known)
+        weighted = weighted_reference(direct, xp.abs(phasor[..., 0]))
+        return xp.concat([weighted, rest], axis=-1) if self.shows_wall else weighted
+
+    def parted(self, reference: Any) -> tuple[Any, Any]:
+        """The direct return (..., H, W, F) in a reference, and the rest, which is empty without a wall."""
+        count = len(self.frequencies_hz)
+        return reference[..., :count], reference[..., count:]
 
     def apply(self, phasor: Any, reference: Any = None, *, is_weighted: bool = False) -> Any:
         """Input channels (..., C, H, W) of phasors (..., H, W, F).
@@ -144,8 +183,8 @@ class InputSpec:
         ----------
         phasor : (..., H, W, F) complex at `frequencies_hz`, from numpy, torch or another library of the
             array API. The channels are an array of the same library on the same device.
-        reference : (H, W, F) complex direct return of the relay wall, or (..., H, W, F), one for each image,
-            as `reference_for` gives it; only the residual channels need it.
+        reference : (H, W, F) complex direct return of the relay wall, or one for each image, as
+            `reference_for` gives it; only the residual channels need it.
         is_weighted : the reference is that of `reference_of_image`.
 
         Raises
@@ -162,9 +201,14 @@ class InputSpec:
         if self.uses_residual:
             if reference is None:
                 raise ValueError(f"channels {self.channels} need the relay wall's direct return as reference")
-            residual = residual_channels(z, reference, "uniform" if is_weighted else self.subpixel_weights)
+            direct, inverse = self.parted(reference)
+            residual = residual_channels(z, direct, "uniform" if is_weighted else self.subpixel_weights)
             scale = xp.asarray(self.residual_scale, dtype=xp.float32, device=device(z))
             parts.append(residual / scale[:, None, None])  # (2F - 1, 1, 1)
+            if self.wall_scale_per_m:
+                mean, spread = self.wall_scale_per_m
+                wall = xp.astype((xp.real(inverse) - mean) / spread, xp.float32)  # (..., H, W, 1)
+                parts.append(xp.moveaxis(wall, -1, -3))
         return xp.concat(parts, axis=-3)
 
 

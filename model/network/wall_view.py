@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from itof import direct_phasors
 from itof.wall.expected_wall import ExpectedWall
-from model.network.channels import ChannelError
+from model.network.channels import ChannelError, InputSpec
 from scenegen import Dataset, camera_axes, wall_normal
 from scenegen.contract import STRICT, FieldOfView, Vector
 
@@ -67,15 +67,32 @@ class WallView:
 
 
 def wall_view(dataset: Dataset) -> WallView:
-    """Camera and relay wall of a dataset, read from its first scene; they are the same in every scene."""
-    scene = dataset.scene(dataset.ids()[0])
-    right, down, forward = (_vector(axis) for axis in camera_axes(scene.camera))
+    """Camera and relay wall of a dataset, read from its first scene; they are the same in every scene.
+
+    Where each scene has its camera elsewhere, the camera is that of the preset, in the middle of them.
+    """
+    scene, preset = dataset.scene(dataset.ids()[0]), dataset.preset
+    camera = scene.camera if preset.is_one_corner else preset.camera
+    right, down, forward = (_vector(axis) for axis in camera_axes(camera))
     return WallView(
-        horizontal_fov_deg=scene.camera.horizontal_fov_deg,
+        horizontal_fov_deg=camera.horizontal_fov_deg,
         camera_axes=(right, down, forward),
-        camera_location_m=scene.camera.location_m,
+        camera_location_m=camera.location_m,
         wall_point_m=scene.relay_wall.location_m,
         wall_normal=_vector(wall_normal(scene.relay_wall)),
+    )
+
+
+def many_corners_problem(dataset: Dataset, inputs: InputSpec) -> str | None:
+    """Why a network with these inputs has no wall to compare the scenes of a dataset with; None if it has.
+
+    Where each scene has its camera elsewhere, only a fit finds the wall of a scene.
+    """
+    if dataset.preset.is_one_corner or not inputs.uses_residual or inputs.self_calibrates:
+        return None
+    return (
+        f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and the reference "
+        f"{inputs.reference} needs one place for all: train with --reference self"
     )
 
 

@@ -87,7 +87,9 @@ def check_measured(
             if useless > most and not thorough:
                 break
             seen = check_measurement(
-                measured.phasors[index], wall, measured.reference, self_calibrated=calibrated
+                *(measured.phasors[index], wall, measured.reference),
+                self_calibrated=calibrated,
+                known_shift_m=predictor.config.inputs.largest_shift_m,
             )
             walls[index] = None if seen.wall is None else WallFound.of_fit(seen.wall)
             findings = [*seen.findings, *([] if rescale else _unit(predictor, measured, index))]

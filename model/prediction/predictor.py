@@ -18,6 +18,7 @@ from model.network.channels import ChannelError
 from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet, average_with_flip
+from model.network.wall_view import WallView
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
@@ -59,6 +60,10 @@ class Predictor:
             return self.config.geometry.expected_wall(self.reference, self.config.inputs.frequencies_hz)
         except ChannelError as error:
             raise RunError(f"the geometry of the run cannot be: {error}") from None
+
+    def at(self, corner: WallView) -> Predictor:
+        """The same network at another corner, whose wall is expected where `corner` says."""
+        return replace(self, config=replace(self.config, geometry=corner))
 
     def predict(
         self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False

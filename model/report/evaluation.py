@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from model.data.shards import open_shards
+from model.network.wall_view import wall_view
 from model.prediction.predictor import load
 from model.report.judging import Bench, judge_split, shown_scenes
 from model.report.page import write_page
 from model.report.refusals import (
     EvaluationError,
     refuse_amplitude_of_depth,
+    refuse_many_corners,
     refuse_missing_split,
     refuse_other_contents,
     refuse_other_images,
@@ -88,13 +90,14 @@ def evaluate(
     refuse_scenes_not_shown(dataset, split, scenes)
     shards = open_shards(dataset, progress=progress)
     refuse_other_images(predictor.config, shards, run, dataset)
+    refuse_many_corners(predictor.config, dataset)
     refuse_scenes_without_render(shards, dataset, scenes)
     readout = predictor.config.readout
     if mask_from is not None:
         readout = replace(readout, mask_from=mask_from)
     if mask_threshold is not None:
         readout = replace(readout, mask_threshold=mask_threshold)
-    bench = Bench(predictor, readout, dataset, shards, progress)
+    bench = Bench(predictor.at(wall_view(dataset)), readout, dataset, shards, progress)
     with whole_folder(out) as folder:
         clouds = folder / "pointclouds"
         clouds.mkdir()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from model.data.shards import Shards
+from model.network.wall_view import many_corners_problem
 from model.report.report_files import files_of_report
 from model.run_folder.run_config import RunConfig
 from model.settings import MaskSource
@@ -32,6 +33,13 @@ def refuse_amplitude_of_depth(
         raise EvaluationError(
             "the network predicts depth and no amplitude: leave --mask-from and --mask-threshold out"
         )
+
+
+def refuse_many_corners(trained: RunConfig, dataset: Dataset) -> None:
+    """Refuse scenes with cameras elsewhere for a network that cannot find their walls."""
+    problem = many_corners_problem(dataset, trained.inputs)
+    if problem:
+        raise EvaluationError(problem)
 
 
 def refuse_missing_split(dataset: Dataset, split: Split) -> None:

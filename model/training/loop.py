@@ -16,7 +16,7 @@ from model.data.class_balance import BalanceError, background_per_object
 from model.data.object_depth import object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
-from model.network.wall_view import wall_view
+from model.network.wall_view import many_corners_problem, wall_view
 from model.run_folder.history import EpochRecord
 from model.run_folder.run_config import (
     CONFIG_FILE,
@@ -185,6 +185,9 @@ def _configure(
             depth_m = object_depth_m(shards, rows)
     except (BalanceError, ChannelError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
+    problem = many_corners_problem(dataset, inputs)
+    if problem:
+        raise TrainingError(problem)
     config = RunConfig(
         settings=settings,
         inputs=inputs,

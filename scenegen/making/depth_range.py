@@ -35,11 +35,15 @@ def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UserMesh]) -> 
     PresetError : a depth can be c / 2f or more, or 0 because the camera is not in front of the relay wall.
     """
     wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
-    gap_m = float((camera_m - wall.location_m) @ wall_normal(wall))
+    normal = wall_normal(wall)
+    gap_m = (
+        float((camera_m - wall.location_m) @ normal) - preset.camera_spread.location_m * np.abs(normal).sum()
+    )
     if gap_m <= 0:
+        spread = "" if preset.is_one_corner else ", moved by camera_spread.location_m,"
         raise PresetError(
-            f"camera.location_m is {-gap_m:g} m behind the front of the relay wall, which the camera must "
-            "see: move the camera or turn the wall with relay_wall.rotation_deg"
+            f"camera.location_m{spread} is {-gap_m:g} m behind the front of the relay wall, which the camera "
+            "must see: move the camera or turn the wall with relay_wall.rotation_deg"
         )
     depth_m, first_hz = largest_mirrored_depth_m(preset, meshes), preset.itof.frequencies_hz[0]
     range_m = speed_of_light / (2 * first_hz)
@@ -56,7 +60,8 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UserMesh]) -
 
     That distance is the one between the camera's mirror image and the object. The bound is the largest one
     to the range of the objects' centres, at a corner of this box, plus the largest radius about a centre.
-    It is attained if all rotations are allowed.
+    It is attained if all rotations are allowed. With a spread of the camera, whose mirror image moves as far
+    as the camera itself, half the diagonal of its box is added.
     """
     wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
     normal = wall_normal(wall)
@@ -69,7 +74,8 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UserMesh]) -
         ranges = ranges + np.array([min(offset[0], 0), max(offset[1], 0)])  # of the first and the second part
     corners = np.array(list(product(*ranges)))  # (8, 3)
     farthest_m = float(np.linalg.norm(corners - mirrored_m, axis=1).max())
-    return farthest_m + max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
+    moved_m = 3**0.5 * preset.camera_spread.location_m
+    return farthest_m + moved_m + max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
 
 
 def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UserMesh]) -> float:

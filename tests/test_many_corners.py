@@ -1,0 +1,264 @@
+"""Datasets whose scenes have their cameras elsewhere, and networks that are told where the wall is."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from night_commands import night_here, refusal
+from synthetic_dataset import write_synthetic_dataset
+from training_runs import FLIP, assert_same_end, config_of, settings, train_on_one_thread
+
+from itof import direct_phasors, pixel_rays, read_image
+from model.data.augmentation import Augmentation, Draws
+from model.data.batches import BatchMaker
+from model.data.channel_scaling import fit_input_spec
+from model.data.shards import open_shards
+from model.network.wall_view import wall_view
+from model.prediction.predictor import load
+from model.report.evaluation import evaluate
+from model.report.refusals import EvaluationError
+from model.run_folder.run_config import read_config
+from model.settings import TrainSettings
+from model.training.loop import train
+from model.training.refusals import TrainingError
+from scenegen import camera_axes, open_dataset, preset_from_dict, sample_scene, scene_to_json, wall_normal
+
+SPREAD = {"location_m": 0.2, "rotation_deg": 4.0}
+SHOWN = FLIP | {"channels": "residual+wall", "reference": "self", "width": 4, "batch_size": 4, "block": 2}
+SHOWN |= {"target": "mask+depth", "loss": "bce+iou+depth", "noise_sigma": 0.0}
+PRESET = """
+[dataset]
+count = 4
+[camera]
+width = 24
+height = 18
+[camera_spread]
+location_m = 0.2
+rotation_deg = 4.0
+[relay_wall]
+material = "diffuse"
+"""
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def corners(tmp_path_factory):
+    """Twelve scenes in closed form, each with its camera elsewhere."""
+    return write_synthetic_dataset(tmp_path_factory.mktemp("corners"), camera_spread=SPREAD)
+
+
+@pytest.fixture(scope="module")
+def run(corners, tmp_path_factory):
+    out = tmp_path_factory.mktemp("shown") / "run"
+    return train_on_one_thread(corners, out, **SHOWN | {"max_epochs": 2})
+
+
+def preset(**tables):
+    return preset_from_dict({"dataset": {"seed": 5}, **tables}, "test")
+
+
+def inverse_distance_per_m(scene, height, width):
+    """(H, W) inverse of the wall's distance along the rays of a scene's camera."""
+    rays = pixel_rays(width, height, scene.camera.horizontal_fov_deg) @ camera_axes(scene.camera)
+    normal = wall_normal(scene.relay_wall)
+    gap_m = (np.array(scene.relay_wall.location_m) - scene.camera.location_m) @ normal
+    return rays @ normal / gap_m
+
+
+def test_cameras_are_spread_evenly_about_that_of_the_preset_and_carry_the_projector():
+    chosen = preset(camera_spread=SPREAD)
+    scenes = [sample_scene(chosen, index) for index in range(400)]
+    for name, by in (("location_m", 0.2), ("rotation_deg", 4.0)):
+        middle = getattr(chosen.camera, name)
+        moves = np.array([getattr(scene.camera, name) for scene in scenes]) - middle
+        assert np.abs(moves).max() <= by
+        # Evenly: mean 0 and deviation by / sqrt(3); four standard errors.
+        assert np.all(np.abs(moves.mean(axis=0)) < 4 * by / np.sqrt(3 * len(scenes)))
+        np.testing.assert_allclose(moves.std(axis=0), by / np.sqrt(3), rtol=0.12)
+        assert np.abs(np.corrcoef(moves.T) - np.eye(3)).max() < 0.2
+    for scene in scenes:
+        assert (scene.emitter.location_m, scene.emitter.rotation_deg) == (
+            scene.camera.location_m,
+            scene.camera.rotation_deg,
+        )
+    again = sample_scene(chosen, 7)
+    assert scene_to_json(again) == scene_to_json(scenes[7])
+
+
+def test_the_objects_are_those_of_the_dataset_without_spread():
+    one, many = (sample_scene(preset(**tables), 3) for tables in ({}, {"camera_spread": SPREAD}))
+    assert many.hidden_objects == one.hidden_objects
+    assert many.relay_wall == one.relay_wall
+    assert many.camera != one.camera
+    zero = sample_scene(preset(camera_spread={"location_m": 0.0}), 3)
+    assert scene_to_json(zero) == scene_to_json(one)
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        ({"camera_spread": {"location_m": -0.1}}, "camera_spread.location_m: Input should be greater"),
+        ({"camera_spread": {"turn_deg": 3}}, "unknown key camera_spread.turn_deg"),
+        (
+            {"camera_spread": {"location_m": 1.2}},
+            "camera.location_m, moved by camera_spread.location_m, is 0.2 m",
+        ),
+        ({"itof": {"frequencies_hz": [33e6]}, "camera_spread": {"location_m": 0.5}}, "put a lower frequency"),
+    ],
+)
+def test_spreads_that_cannot_be_are_refused(tables, words, tmp_path):
+    file = tmp_path / "p.toml"
+    lines = [
+        f"[{table}]\n" + "\n".join(f"{k} = {v}" for k, v in keys.items()) for table, keys in tables.items()
+    ]
+    file.write_text("\n".join(lines))
+    assert words in refusal("night-gen", "scenes", tmp_path / "data", "--preset", file)
+
+
+def test_without_the_spread_the_same_frequency_is_accepted(tmp_path):
+    file = tmp_path / "p.toml"
+    file.write_text("[dataset]\ncount = 1\n[itof]\nfrequencies_hz = [33e6]\n")
+    done = night_here("night-gen", "scenes", tmp_path / "data", "--preset", file)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_wall_channel_is_the_inverse_distance_of_each_scenes_wall(corners):
+    shards = open_shards(corners)
+    rows = range(12)
+    view = wall_view(corners)
+    assert view.camera_location_m == corners.preset.camera.location_m
+    spec = fit_input_spec("residual+wall", shards, rows, reference="self", view=view)
+    z = shards.complex_phasors(rows)
+    wall = view.expected_wall(shards.reference, spec.frequencies_hz)
+    channels = spec.apply(z, spec.reference_for(z, wall))
+    assert channels.shape[1] == spec.channel_count == 6
+    mean, spread = spec.wall_scale_per_m
+    truth = np.stack([inverse_distance_per_m(corners.scene(i), *z.shape[1:3]) for i in corners.ids()])
+    found = channels[:, 5] * spread + mean
+    # The fit takes some hidden light with it: 3 mrad are 1.5 mm of 2 m at 50 MHz.
+    np.testing.assert_allclose(found, truth, atol=5e-3)
+    assert np.abs(truth - truth[0]).max() > 0.1
+    assert (channels[:, 5].mean(), channels[:, 5].std()) == pytest.approx((0, 1), abs=1e-4)
+    plain = replace(spec, channels="residual", wall_scale_per_m=None)
+    np.testing.assert_array_equal(channels[:, :5], plain.apply(z, plain.reference_for(z, wall)))
+
+
+def test_torch_gives_the_channels_of_numpy_and_flips_turn_the_wall_over(corners):
+    shards, rows, view = open_shards(corners), list(range(4)), wall_view(corners)
+    spec = fit_input_spec("residual+wall", shards, rows, reference="self", view=view)
+    frequencies_hz = shards.manifest.frequencies_hz
+    wall = view.expected_wall(shards.reference, frequencies_hz)
+    maker = BatchMaker.for_shards(spec, frequencies_hz, wall, torch.device("cpu"))
+    block = maker.upload(shards.read(rows))
+    assert block.reference.shape[-1] == 4
+    assert maker.reference_bytes * len(rows) == block.reference.nbytes
+    batch = maker.batch(block)
+    z = shards.complex_phasors(rows)
+    numpy = spec.apply(z, spec.reference_for(z, wall))
+    np.testing.assert_allclose(batch.channels.numpy(), numpy, atol=5e-3)  # hidden light of complex64
+    draws = Draws.of(4, torch.Generator().manual_seed(0))
+    flipped = Augmentation(flip_rows=True)(block, maker, draws)
+    for index in range(4):
+        expected = batch.channels[index].flip(-2) if draws.coins[index, 0] else batch.channels[index]
+        assert torch.equal(flipped.channels[index], expected)
+    darker = Augmentation(least_reflectance=0.2)(block, maker, draws)
+    assert torch.equal(darker.channels[:, 5], batch.channels[:, 5])
+    assert darker.channels[:, :5].std() < 0.9 * batch.channels[:, :5].std()
+
+
+def test_a_network_learns_resumes_and_is_judged_on_many_corners(corners, run, tmp_path):
+    config = read_config(run)
+    assert config.inputs.channels == "residual+wall"
+    assert config_of(run)["inputs"]["wall_scale_per_m"] == list(config.inputs.wall_scale_per_m)
+    assert config.geometry == wall_view(corners)
+    train(corners, tmp_path / "parts", settings(**SHOWN | {"max_epochs": 1}))
+    train(corners, tmp_path / "parts", settings(**SHOWN | {"max_epochs": 2}), resume=True)
+    assert_same_end(tmp_path / "parts", run)
+    report = evaluate(run, corners, tmp_path / "report", device="cpu", progress=False)
+    assert len(report.scenes) == len(corners.ids("test"))
+
+
+def test_a_dataset_elsewhere_is_judged_with_its_own_wall(run, tmp_path):
+    """The fit starts at the wall of the dataset: the channels see where it is, not where the run's was."""
+    away = write_synthetic_dataset(
+        tmp_path / "away", count=8, camera={"location_m": [1.3, -1.2, 1.65], "width": 24, "height": 14}
+    )
+    shards, seen = open_shards(away), []
+    moved = load(run, "cpu").at(wall_view(away))
+    z = shards.complex_phasors([0])
+    for predictor in (moved, load(run, "cpu")):
+        channels = predictor._channels(z, shards.reference if predictor is moved else predictor.reference)
+        mean, spread = predictor.config.inputs.wall_scale_per_m
+        seen.append(channels[0, 5] * spread + mean)
+    truth = inverse_distance_per_m(away.scene("000000"), 14, 24)
+    for found in seen:  # also from the run's own wall, 0.3 m from this one
+        np.testing.assert_allclose(found, truth, atol=5e-3)
+    evaluate(run, away, tmp_path / "report", device="cpu", progress=False)
+
+
+def test_a_network_that_needs_one_wall_is_refused(corners, finished_run, tmp_path):
+    known = {name: SHOWN[name] for name in ("width", "batch_size")} | {"max_epochs": 1}
+    with pytest.raises(TrainingError, match=r"has its camera elsewhere .* train with --reference self"):
+        train(corners, tmp_path / "run", settings(**known))
+    train(corners, tmp_path / "paper", settings(**known | {"channels": "paper"}))
+    if read_config(finished_run).inputs.uses_residual:
+        with pytest.raises(EvaluationError, match=r"camera elsewhere"):
+            evaluate(finished_run, corners, tmp_path / "report", device="cpu", progress=False)
+    with pytest.raises(ValueError, match=r"channels residual\+wall show the wall that a fit finds"):
+        TrainSettings(channels="residual+wall")
+
+
+def test_renders_of_many_corners_are_those_of_their_cameras_in_any_order(tmp_path):
+    file = tmp_path / "p.toml"
+    file.write_text(PRESET)
+    for name in ("a", "b"):
+        assert night_here("night-gen", "scenes", tmp_path / name, "--preset", file).returncode == 0
+    render = ("--product", "itof", "--lights", 400)
+    assert night_here("night-render", tmp_path / "a", *render).returncode == 0
+    for scene_id in ("000003", "000001"):
+        done = night_here("night-render", tmp_path / "b", *render, "--only", scene_id)
+        assert done.returncode == 0, done.stderr
+        for image in ("itof.exr", "mirrored.exr"):
+            one, other = (tmp_path / name / "renders" / scene_id / image for name in ("a", "b"))
+            assert one.read_bytes() == other.read_bytes()
+    dataset = open_dataset(tmp_path / "a")
+    assert json.loads((tmp_path / "a" / "dataset.json").read_text())["preset"]["camera_spread"] == SPREAD
+    for scene_id in dataset.ids():
+        scene = dataset.scene(scene_id)
+        direct = read_image(dataset.render_folder(scene_id) / "itof.exr").phasors("direct")[0]
+        wall = scene.relay_wall
+        expected = direct_phasors(
+            *(24, 18, 60.0, dataset.preset.itof.frequencies_hz, camera_axes(scene.camera)),
+            *(scene.camera.location_m, wall.location_m, wall_normal(wall)),
+        )
+        lit = np.abs(direct[..., 0]) > 0.99 * np.abs(expected[..., 0]) * np.median(
+            np.abs(direct[..., 0]) / np.abs(expected[..., 0])
+        )
+        assert lit.mean() > 0.5  # the middle wall may hide the rest
+        ratio = direct[lit] / expected[lit]
+        # A hundredth of a pixel behind the middle wall moves its mean phase by a hundredth of 0.2 rad.
+        np.testing.assert_allclose(ratio / np.median(np.abs(ratio)), 1, atol=2e-3)
+
+
+def test_walls_within_those_of_the_training_are_no_other_corner(corners, run, tmp_path):
+    inputs = read_config(run).inputs
+    view, shards = wall_view(corners), open_shards(corners)
+    expected_m = view.expected_wall(shards.reference, inputs.frequencies_hz).radial_depth_m
+    shifts_m = [
+        np.abs(1 / inverse_distance_per_m(corners.scene(i), 14, 24) - expected_m).mean()
+        for i in corners.ids("train")
+    ]
+    assert inputs.largest_shift_m == pytest.approx(max(shifts_m), rel=0.02)
+    file = corners.render_folder(corners.ids("train")[int(np.argmax(shifts_m))]) / "itof.exr"
+    assert max(shifts_m) > 0.2  # which a network of one corner refuses
+    done = night_here("night-eval", "predict", run, file, "--out", tmp_path / "seen")
+    assert done.returncode == 0, done.stderr
+    away = {"location_m": [1.0 + 1.3 * max(shifts_m), -1.0, 1.65], "width": 24, "height": 14}
+    far = write_synthetic_dataset(tmp_path / "far", count=4, camera=away)
+    sentence = refusal(
+        *("night-eval", "predict", run, far.render_folder("000000") / "itof.exr", "--out", tmp_path / "x")
+    )
+    assert "the run was trained on walls up to" in sentence
