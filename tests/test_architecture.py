@@ -85,7 +85,10 @@ HOME = {
     "h5py": (
         *("render/products/patient_file.py", "render/products/tal_export.py"),
         *("render/products/export_rows.py", "model/prediction/hdf5_reading.py"),
+        "render/products/zarr_copy.py",
     ),
+    "zarr": "render/products/zarr_copy.py",
+    "numcodecs": "render/products/zarr_copy.py",
     "imageio_ffmpeg": "render/products/movie_encoding.py",
     "dask": "render/farm/",
     "dask_jobqueue": "render/farm/",

@@ -12,7 +12,7 @@ TABLE = [
     # night-gen
     (
         "night-gen scenes {out} --preset nowhere",
-        "no preset nowhere: give a .toml file or one of demo, judge, paper",
+        "no preset nowhere: give a .toml file or one of any-corner, demo, judge, judge-any-corner, paper",
     ),
     ("night-gen scenes {out} --preset {folder}", "no preset {folder}"),
     ("night-gen scenes {out} --preset {file}", "{file} cannot be read as TOML"),

@@ -161,15 +161,17 @@ def test_a_dataset_without_any_good_scene_is_refused(seven_scenes, tmp_path):
         ("there.h5", "there.h5 exists already: give another name, or delete it"),
         ("folder.h5", "folder.h5 exists already"),
         ("link.h5", "link.h5 exists already"),
-        ("x.zarr", "Zarr is not supported: give a name that ends in .h5"),
-        ("x.mat", "the ending '.mat' is unknown: give a name that ends in .h5"),
+        ("there.zarr", "there.zarr exists already: give another name, or delete it"),
+        ("x.mat", "the ending '.mat' is unknown: give a name that ends in .h5 or .zarr"),
         ("x", "the ending '' is unknown"),
         ("there.h5/x.h5", "cannot write"),
+        ("there.h5/x.zarr", "cannot write"),
     ],
 )
 def test_a_place_that_cannot_be_written_is_refused(seven_renders, tmp_path, name, words):
     (tmp_path / "there.h5").write_text("mine")
     (tmp_path / "folder.h5").mkdir()
+    (tmp_path / "there.zarr").mkdir()
     (tmp_path / "link.h5").symlink_to("nowhere")
     before = sorted(tmp_path.iterdir())
     assert words in refusal("night-render", "export", seven_renders, "--out", tmp_path / name)

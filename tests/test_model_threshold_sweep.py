@@ -23,8 +23,9 @@ def test_every_point_of_a_sweep_is_what_judging_at_it_gives():
     sweep = ThresholdSweep("test", SWEEP, readout)
     sweep.add(phasor, truth_m, (truth_m > 0).astype(np.uint8))
     for point in sweep.curve().points:
-        depth_m, mask, _ = read_output(output_of(phasor), replace(readout, mask_threshold=point.threshold))
-        each = [image_metrics(*images) for images in zip(depth_m, mask, truth_m, truth_m > 0, strict=True)]
+        found = read_output(output_of(phasor), replace(readout, mask_threshold=point.threshold))
+        images = zip(found.radial_depth_m, found.mask, truth_m, truth_m > 0, strict=True)
+        each = [image_metrics(*image) for image in images]
         assert point.miou == pytest.approx(np.mean([m.miou for m in each]), rel=1e-12)
         assert point.depth_mae_m == pytest.approx(np.mean([m.depth_mae_m for m in each]), rel=1e-6)
 

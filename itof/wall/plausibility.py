@@ -210,11 +210,10 @@ def _elsewhere(fit: WallFit, compared: bool, known_shift_m: float) -> Iterator[F
         return
     place = "the reference" if compared else "the run"
     words = f"the wall is not where {place} has it, but {describe_shift(fit)}"
-    words += (
-        ": the run was trained on another corner"
-        if not known_shift_m
-        else (f": the run was trained on walls up to {length(known_shift_m)} from there, as a mean")
-    )
+    if known_shift_m:
+        words += f": the run has seen walls up to {length(known_shift_m)} from there (mean along the rays)"
+    else:
+        words += ": the run was trained on another corner"
     yield Finding("wall-moved", words, shift_m >= CALIBRATED_REFUSED_M)
 
 

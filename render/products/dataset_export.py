@@ -1,9 +1,10 @@
-"""Export of a rendered dataset as one HDF5 file, which any HDF5 library reads (docs/files.md)."""
+"""Export of a rendered dataset as one HDF5 file or one Zarr folder, which others read (docs/files.md)."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,11 +14,13 @@ from render.byte_size import size
 from render.products.card import read_card
 from render.products.conversion import ExportError, exported_file
 from render.products.export_format import FORMAT, FORMAT_VERSION
-from render.products.export_rows import new_rows
+from render.products.export_rows import Rows, new_rows
 from render.products.export_scenes import RefusedSceneError, SceneSource
-from scenegen import Dataset, PathLike, sha256_of
+from render.products.zarr_copy import copy_to_zarr, digest_of_folder, refuse_without_zarr
+from scenegen import Dataset, PathLike, sha256_of, whole_folder
 
-_ENDINGS = (".h5", ".hdf5")
+_ZARR = ".zarr"
+_ENDINGS = (".h5", ".hdf5", _ZARR)
 _LISTED = 10  # scenes that are named one by one on the terminal; the file names all
 
 
@@ -27,8 +30,8 @@ class Export:
 
     Attributes
     ----------
-    file : the new file.
-    bytes, sha256 : its size and its hash, to publish beside it.
+    file : the new file or folder.
+    bytes, sha256 : its size and its hash, to publish beside it; of a folder that of `digest_of_folder`.
     scenes : number of scenes of each split.
     left_out : sentence about each scene that is not in the file, by id.
     arrays : shape of each array that has a row for each scene, by name.
@@ -62,15 +65,16 @@ def export_dataset(
     partial: bool = False,
     on_scene: Callable[[], object] = lambda: None,
 ) -> Export:
-    """Write phasors, ground truth, parameters, splits and provenance of all scenes into one new HDF5 file.
+    """Write phasors, ground truth, parameters, splits and provenance of all scenes into one new file.
 
     docs/files.md describes the file. Every rendered file is compared with its record before it is read. One
     scene is in memory at a time. The same dataset gives the same bytes with the same versions of NIGHT, h5py
-    and HDF5.
+    and HDF5, or zarr and numcodecs.
 
     Parameters
     ----------
-    out : the new file, which ends in ``.h5`` or ``.hdf5``.
+    out : the new HDF5 file, which ends in ``.h5`` or ``.hdf5``, or the new Zarr folder, which ends in
+        ``.zarr``. The folder is copied from an HDF5 file that is written beside it and deleted.
     partial : leave out scenes that cannot be exported, and name them in the file.
     on_scene : called after each scene whose images were read.
 
@@ -78,13 +82,14 @@ def export_dataset(
     ------
     ExportError : without `partial`, a scene is not rendered, given up, bad, damaged, or rendered with other
         settings than the dataset. No scene can be exported. The file exists, has another ending, or cannot
-        be written.
+        be written. A folder is wanted, and zarr is not installed.
     """
     file = Path(out)
     _check_name(file)
     source = SceneSource(dataset)
     left_out, wanted = _checked(dataset, source, partial)
-    with exported_file(file) as unfinished, new_rows(unfinished, len(wanted)) as rows:
+    write = _zarr_rows if file.suffix == _ZARR else _hdf5_rows
+    with write(file, len(wanted)) as rows:
         for scene_id in wanted:
             try:
                 rows.add(dataset.entry(scene_id), source.read(scene_id))
@@ -103,20 +108,45 @@ def export_dataset(
             "left_out": {scene_id: refusal.reason for scene_id, refusal in left_out.items()},
         }
         rows.finish(dataset.preset.itof.frequencies_hz, documents, licence)
+    size, sha256 = digest_of_folder(file) if file.is_dir() else (file.stat().st_size, sha256_of(file))
     return Export(
         file=file,
-        bytes=file.stat().st_size,
-        sha256=sha256_of(file),
+        bytes=size,
+        sha256=sha256,
         scenes=rows.split_counts,
         left_out={scene_id: str(refusal) for scene_id, refusal in left_out.items()},
         arrays=rows.shapes,
     )
 
 
+@contextmanager
+def _hdf5_rows(file: Path, most: int) -> Iterator[Rows]:
+    """Rows of the new HDF5 file `file`."""
+    with exported_file(file) as unfinished, new_rows(unfinished, most) as rows:
+        yield rows
+
+
+@contextmanager
+def _zarr_rows(folder: Path, most: int) -> Iterator[Rows]:
+    """Rows of an HDF5 file that becomes the new Zarr folder `folder`."""
+    refuse_without_zarr(folder)
+    try:
+        with whole_folder(folder) as unfinished:
+            file = (
+                unfinished.parent / f"{folder.name}.h5"
+            )  # beside it, in a folder of its own that is removed
+            with new_rows(file, most) as rows:
+                yield rows
+            copy_to_zarr(file, unfinished)
+    except OSError as error:
+        raise ExportError(f"cannot write {folder}: {error.strerror or error}") from None
+
+
 def _check_name(file: Path) -> None:
     if file.suffix not in _ENDINGS:
-        what = "Zarr is not supported" if file.suffix == ".zarr" else f"the ending {file.suffix!r} is unknown"
-        raise ExportError(f"{file}: {what}: give a name that ends in .h5")
+        raise ExportError(
+            f"{file}: the ending {file.suffix!r} is unknown: give a name that ends in .h5 or .zarr"
+        )
     if os.path.lexists(file):
         raise ExportError(f"{file} exists already: give another name, or delete it")
 
