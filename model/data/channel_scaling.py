@@ -70,7 +70,7 @@ def fit_input_spec(
                 known = unscaled.reference_for(seen, wall) if wall else direct
                 known, inverse = unscaled.parted(known)
                 residual = residual_channels(seen, known)  # (2F - 1, H, W)
-                if unscaled.shows_wall:
+                if wall and unscaled.shows_wall:
                     inverse = inverse[..., 0].real.astype(np.float64)
                     walls.append((inverse.mean(), (inverse**2).mean(), _shift_m(inverse, wall)))
                 residual = residual.astype(np.float64)
@@ -104,16 +104,12 @@ def fit_input_spec(
     )
 
 
-def _shift_m(inverse_distance_per_m: NDArray[np.float64], wall: ExpectedWall | None) -> float:
+def _shift_m(inverse_distance_per_m: NDArray[np.float64], wall: ExpectedWall) -> float:
     """Mean distance of a wall from the expected one along the rays that meet both, metres."""
-    if wall is None:
-        return 0.0
     ahead = (inverse_distance_per_m > 0) & np.isfinite(wall.radial_depth_m)
-    return (
-        float(np.abs(1 / inverse_distance_per_m[ahead] - wall.radial_depth_m[ahead]).mean())
-        if ahead.any()
-        else 0.0
-    )
+    if not ahead.any():
+        return 0.0
+    return float(np.abs(1 / inverse_distance_per_m[ahead] - wall.radial_depth_m[ahead]).mean())
 
 
 def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:

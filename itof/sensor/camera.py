@@ -1,0 +1,204 @@
+"""A camera: raw frames of its taps, with noise and limits, and the phasors that come out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace, device
+from numpy.typing import NDArray
+
+from itof.sensor.demodulation import calibrated, first_harmonic, phasor_of_differences, tap_differences
+from itof.sensor.light import ambient_rate_e_s, falloff, scattered, signal_rate_e_s
+from itof.sensor.settings import SensorSettings
+
+_FEW_E = 1e6  # above, Poisson's distribution is that of Gauss to 1e-3 of its width, and drawn as such
+
+
+@dataclass(frozen=True)
+class Captured:
+    """What a camera makes of images.
+
+    Attributes
+    ----------
+    phasor : (..., H, W, F) complex, in the unit of the scenes; 0 where all sensor pixels of a pixel are dead.
+    saturated : (..., H, W) part of the sensor pixels of a pixel, and of its raw frames, that are saturated.
+    signal_e : (..., H, W) expected electrons of the emitter's light in both taps of a sensor pixel in a raw
+        frame, without saturation.
+    """
+
+    phasor: Any
+    saturated: Any
+    signal_e: Any
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with a fixed pattern of its own.
+
+    Attributes
+    ----------
+    settings : of the camera.
+    frequencies_hz : F modulation frequencies, Hz.
+    """
+
+    settings: SensorSettings
+    frequencies_hz: Sequence[float]
+
+    def capture(self, phasor: Any, rng: np.random.Generator) -> Captured:
+        """Measure images.
+
+        Parameters
+        ----------
+        phasor : (..., H, W, F) complex phasors of scenes (docs/files.md has their unit), of numpy or another
+            library of the array API. H and W divide the sensor's height and width by the same whole number;
+            the sensor pixels of a pixel see the same light, and their phasors are averaged.
+        rng : for noise and drift; the fixed pattern has its own seed.
+
+        Raises
+        ------
+        ValueError : the number of frequencies differs, or H and W do not fit the sensor.
+
+        The amplitude at the lowest frequency stands for the brightness: light of one path has the same
+        amplitude at every frequency, and the light of a pixel that of almost one path.
+        """
+        xp = array_namespace(phasor)
+        seen = np.asarray(phasor if xp.__name__.endswith("numpy") else phasor.cpu(), dtype=np.complex128)
+        if seen.shape[-1] != len(self.frequencies_hz):
+            raise ValueError(
+                f"expected phasors at {len(self.frequencies_hz)} frequencies, got {seen.shape[-1]}"
+            )
+        height, width = seen.shape[-3:-1]
+        images = seen.reshape(-1, *seen.shape[-3:])
+        parts = [self._one(image, self.settings.binning(width, height), rng) for image in images]
+        kind = np.dtype(str(phasor.dtype).rpartition(".")[2])  # "torch.complex64" or "complex64"
+        found = [
+            np.stack(each).reshape(*seen.shape[:-3], *each[0].shape).astype(wanted)
+            for each, wanted in zip(zip(*parts, strict=True), (kind, np.float32, np.float32), strict=True)
+        ]
+        return Captured(*(xp.asarray(each, device=device(phasor)) for each in found))
+
+    def _one(
+        self, image: NDArray[np.complex128], binning: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
+        """`capture` of one image (H, W, F)."""
+        settings = self.settings
+        height, width = image.shape[:2]
+        lens = falloff(settings, width, height)  # (H, W)
+        light = scattered(settings, image) * lens[..., None]
+        drift = settings.phase_drift_rad * rng.standard_normal(len(self.frequencies_hz))
+        light = light * np.exp(1j * drift)
+        electrons = signal_rate_e_s(settings) * settings.integration_s  # per radiance
+        brightness = np.abs(light[..., 0])  # (H, W)
+        other_e = ambient_rate_e_s(settings) * settings.integration_s * lens  # in both taps
+        dark_e = settings.dark_current_e_s * settings.integration_s  # in each
+        alive = self._alive
+        total = np.zeros(image.shape, dtype=np.complex128)
+        saturated = np.zeros(image.shape[:2])
+        frames = settings.frames * len(self.frequencies_hz) * settings.phase_steps * 2
+        for place, frequency_hz in enumerate(self.frequencies_hz):
+            difference = tap_differences(settings, light[..., place], frequency_hz)  # (H, W, N)
+            for _ in range(settings.frames):
+                found = np.zeros((settings.height, settings.width, settings.phase_steps))
+                for sign in (1, -1):
+                    mine = (brightness[..., None] + sign * difference) * electrons  # twice this tap's part
+                    mean_e = np.maximum(mine + other_e[..., None], 0) / 2 + dark_e
+                    tap_e, full = self._read(_repeated(mean_e, binning), sign, rng)
+                    found += sign * tap_e
+                    saturated += _binned(full.sum(axis=-1) * alive, binning) / frames
+                z = phasor_of_differences(settings, found, frequency_hz)  # (sensor height, width)
+                z = calibrated(settings, z, frequency_hz)
+                total[..., place] += _binned(z * alive, binning)
+        lit = _binned(alive.astype(np.float64), binning)
+        share = np.divide(1.0, lit, out=np.zeros_like(lit), where=lit > 0)
+        mean = total * share[..., None] / (settings.frames * electrons)
+        return mean, saturated * share, brightness * electrons
+
+    def _read(
+        self, mean_e: NDArray[np.float64], tap: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Electrons (..., N) that a tap (1 or -1) of every sensor pixel is read with; whether it is full."""
+        settings = self.settings
+        gain, offset_e = self._pattern[0 if tap > 0 else 1]
+        gain = gain * (1.0 if tap > 0 else 1 + settings.tap_mismatch)
+        charge_e = _shot(mean_e, rng) if settings.shot_noise else mean_e
+        full = np.zeros(charge_e.shape, dtype=np.bool_)
+        if settings.full_well_e is not None:
+            full |= charge_e >= settings.full_well_e
+            charge_e = np.minimum(charge_e, settings.full_well_e)
+        read_e = charge_e * gain[..., None] + offset_e[..., None]
+        if settings.read_noise_e:
+            read_e = read_e + settings.read_noise_e * rng.standard_normal(read_e.shape)
+        if settings.adc_bits is not None and settings.adc_e_per_dn is not None:
+            most = 2**settings.adc_bits - 1
+            numbers = np.round(read_e / settings.adc_e_per_dn + settings.adc_offset_dn)
+            full |= numbers >= most
+            read_e = (np.clip(numbers, 0, most) - settings.adc_offset_dn) * settings.adc_e_per_dn
+        return read_e, full
+
+    @cached_property
+    def _pattern(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Gain and offset in electrons of either tap of every sensor pixel."""
+        settings, size = self.settings, (self.settings.height, self.settings.width)
+        rng = np.random.default_rng([settings.pattern_seed, 0])
+        return [
+            (
+                1 + settings.gain_spread * rng.standard_normal(size),
+                settings.offset_spread_e * rng.standard_normal(size),
+            )
+            for _ in range(2)
+        ]
+
+    @cached_property
+    def _alive(self) -> NDArray[np.bool_]:
+        """(sensor height, width) whether a pixel gives anything."""
+        rng = np.random.default_rng([self.settings.pattern_seed, 1])
+        alive: NDArray[np.bool_] = (
+            rng.random((self.settings.height, self.settings.width)) >= self.settings.dead_pixels
+        )
+        return alive
+
+
+def phase_noise_rad(settings: SensorSettings, signal_e: float, frequency_hz: float) -> float:
+    """Standard deviation of the phase of one sensor pixel in one measurement of N raw frames, radians.
+
+    sqrt(2 V / N) / (C S), where V is the variance of a difference of taps: the electrons of signal and
+    ambient light, those of the dark current and the read noise of both taps.
+
+    Parameters
+    ----------
+    signal_e : S, electrons of the emitter's light in both taps in a raw frame.
+
+    Source: Lange and Seitz, "Solid-state time-of-flight range camera", IEEE J. Quantum Electronics 37, 2001,
+    eq. 11 and 12, for four steps.
+    """
+    other_e = ambient_rate_e_s(settings) * settings.integration_s
+    dark_e = 2 * settings.dark_current_e_s * settings.integration_s
+    shot = signal_e + other_e + dark_e if settings.shot_noise else 0.0
+    variance = shot + 2 * settings.read_noise_e**2
+    return float(
+        np.sqrt(2 * variance / settings.phase_steps) / (first_harmonic(settings, frequency_hz) * signal_e)
+    )
+
+
+def _shot(mean_e: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Electrons that arrive where `mean_e` are expected."""
+    many = mean_e > _FEW_E
+    drawn = rng.poisson(np.where(many, 0, mean_e)).astype(np.float64)
+    if many.any():
+        drawn[many] = mean_e[many] + np.sqrt(mean_e[many]) * rng.standard_normal(int(many.sum()))
+    return drawn
+
+
+def _repeated(image: NDArray[np.float64], binning: int) -> NDArray[np.float64]:
+    """(H b, W b, ...) every pixel of (H, W, ...) b times along both axes."""
+    return image.repeat(binning, axis=0).repeat(binning, axis=1)
+
+
+def _binned(image: NDArray[Any], binning: int) -> NDArray[Any]:
+    """(H, W) sums over the b x b pixels of an image (H b, W b)."""
+    height, width = image.shape[0] // binning, image.shape[1] // binning
+    return np.asarray(image.reshape(height, binning, width, binning).sum(axis=(1, 3)))

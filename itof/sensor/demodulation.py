@@ -1,0 +1,101 @@
+"""Demodulation: what the taps of a pixel collect, and the phasor that a camera's firmware makes of it.
+
+In the raw frame n of N, the reference of the first tap is at the phase θ_n = 2π n / N and the second tap has
+the rest. For light of S electrons and phase φ their difference is
+
+    D_n = S sum_h C_h cos(h (φ - θ_n)),    z = 2 / (N C_1) sum_n D_n exp(j θ_n).
+
+C_h / C_1 follows from the waveforms of light and reference, and C_1 from the demodulation contrast, the
+largest D / S. Harmonics
+h with h ± 1 a multiple of N fold into z: with four steps, the third and the fifth make a phase error of four
+cycles, the wiggling of square-wave cameras. Harmonics are those of the light of a pixel as a whole, 99.8 % of
+which is direct: their phase is h times that of the pixel.
+
+Arrays may be of numpy or of any other library of the array API.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace, device
+from numpy.typing import NDArray
+
+from itof.sensor.settings import SensorSettings
+
+_TABLE = 2**14  # steps of a period; linear interpolation errs by less than 1e-8
+
+
+def first_harmonic(settings: SensorSettings, frequency_hz: float) -> float:
+    """C_1 at a frequency."""
+    frequencies_hz, values = zip(*settings.contrast, strict=True)
+    angle = np.linspace(0, 2 * np.pi, 721)  # both waves are symmetric, so the largest value is at 0 or π
+    wave = sum(part * np.cos(h * angle) for h, part in harmonics(settings, frequency_hz).items())
+    return float(np.interp(frequency_hz, frequencies_hz, values) / np.abs(wave).max())
+
+
+def harmonics(settings: SensorSettings, frequency_hz: float) -> dict[int, float]:
+    """C_h / C_1 of the harmonics that there are, by h.
+
+    A square wave that is on for the part d of a period has the harmonics sin(π h d) / h; edges that rise
+    within the time t multiply them by sinc(h f t). The reference is on for half of the period. Harmonics of
+    both together are products.
+    """
+    if "sinusoidal" in (settings.emitter_waveform, settings.reference_waveform):
+        return {1: 1.0}  # the other wave's harmonics find no partner
+
+    def product(h: int) -> float:
+        light = math.sin(math.pi * h * settings.emitter_duty) / h
+        light *= float(np.sinc(h * frequency_hz * settings.rise_time_s))
+        return light * math.sin(math.pi * h / 2) / h
+
+    first = product(1)
+    found = {h: product(h) / first for h in range(1, settings.highest_harmonic + 1)}
+    return {h: part for h, part in found.items() if abs(part) > 1e-12}
+
+
+def tap_differences(settings: SensorSettings, phasor: Any, frequency_hz: float) -> Any:
+    """(..., N) expected differences of the taps for phasors (...) of one frequency, in their unit."""
+    xp = array_namespace(phasor)
+    real = xp.real(phasor).dtype
+    steps = xp.asarray(_steps(settings), dtype=real, device=device(phasor))
+    size, angle = xp.abs(phasor)[..., None], xp.atan2(xp.imag(phasor), xp.real(phasor))[..., None]
+    total = xp.zeros((*phasor.shape, settings.phase_steps), dtype=real, device=device(phasor))
+    for h, part in harmonics(settings, frequency_hz).items():
+        total = total + part * xp.cos(h * (angle - steps))
+    return first_harmonic(settings, frequency_hz) * size * total
+
+
+def phasor_of_differences(settings: SensorSettings, differences: Any, frequency_hz: float) -> Any:
+    """(...) phasors that the firmware makes of differences of the taps (..., N)."""
+    xp = array_namespace(differences)
+    steps = xp.asarray(_steps(settings), dtype=differences.dtype, device=device(differences))
+    gain = 2 / (settings.phase_steps * first_harmonic(settings, frequency_hz))
+    re, im = (xp.sum(differences * wave, axis=-1) for wave in (xp.cos(steps), xp.sin(steps)))
+    return gain * (re + 1j * im)
+
+
+def calibrated(
+    settings: SensorSettings, phasor: NDArray[np.complex128], frequency_hz: float
+) -> NDArray[np.complex128]:
+    """Phasors (...) after the firmware took out what it knows of the waveforms' error.
+
+    Light of the phase φ is measured as W(φ) exp(j φ). A table of W over the measured phase gives phase and
+    amplitude back, which is exact for light without noise; the part `wiggling_left` of both errors stays.
+    """
+    if settings.wiggling_left == 1 or len(harmonics(settings, frequency_hz)) == 1:
+        return phasor
+    angle = np.linspace(-np.pi, np.pi, _TABLE + 1)
+    light = np.exp(1j * angle)
+    error = (
+        phasor_of_differences(settings, tap_differences(settings, light, frequency_hz), frequency_hz) / light
+    )
+    seen = angle + np.angle(error)  # ascends
+    known = np.interp(np.angle(phasor), seen, np.log(error), period=2 * np.pi)
+    return np.asarray(phasor * np.exp((settings.wiggling_left - 1) * known))
+
+
+def _steps(settings: SensorSettings) -> Any:
+    return 2 * np.pi * np.arange(settings.phase_steps) / settings.phase_steps

@@ -1,0 +1,72 @@
+"""From radiance to photo-electrons, and what the lens does to an image."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import c as light_speed_m_s
+from scipy.constants import h as planck_j_s
+from scipy.ndimage import gaussian_filter
+
+from itof.pinhole import pixel_rays
+from itof.sensor.settings import SensorSettings
+
+
+def electrons_per_joule(settings: SensorSettings) -> float:
+    """Photo-electrons per joule of light on the area of a pixel."""
+    photon_j = planck_j_s * light_speed_m_s / (settings.wavelength_nm * 1e-9)
+    return settings.quantum_efficiency * settings.fill_factor / photon_j
+
+
+def pixel_power_w(settings: SensorSettings, radiance: float) -> float:
+    """Power on the axis on the area of a pixel that sees a radiance, W m^-2 sr^-1.
+
+    The irradiance behind a lens of f-number N with the transmission T is π L T / (4 N²).
+    """
+    area_m2 = (settings.pixel_pitch_um * 1e-6) ** 2
+    aperture = math.pi * settings.lens_transmission / (4 * settings.f_number**2)
+    return radiance * aperture * area_m2
+
+
+def emitter_scale(settings: SensorSettings) -> float:
+    """Radiance for this emitter over the radiance of a scene, whose projector has the irradiance scale 1.
+
+    That projector has the radiant intensity π / cos³ of the angle to its axis, so its power is π times the
+    area of its image at a distance of 1.
+    """
+    side = 2 * math.tan(math.radians(settings.horizontal_fov_deg) / 2)
+    return settings.emitter_power_w / (math.pi * side**2 * settings.height / settings.width)
+
+
+def signal_rate_e_s(settings: SensorSettings) -> float:
+    """Electrons per second in both taps of a pixel on the axis, per radiance of a scene."""
+    return pixel_power_w(settings, emitter_scale(settings)) * electrons_per_joule(settings)
+
+
+def ambient_rate_e_s(settings: SensorSettings) -> float:
+    """Electrons per second in both taps of a pixel on the axis, of a white wall in the ambient light."""
+    return pixel_power_w(settings, settings.ambient_w_m2 / math.pi) * electrons_per_joule(settings)
+
+
+def falloff(settings: SensorSettings, width: int, height: int) -> NDArray[np.float64]:
+    """(H, W) light of the pixels of an image over that on the axis (vignetting)."""
+    cosine = pixel_rays(width, height, settings.horizontal_fov_deg)[..., 2]
+    return np.asarray(cosine**settings.vignetting, dtype=np.float64)
+
+
+def scattered(settings: SensorSettings, image: NDArray[Any]) -> NDArray[Any]:
+    """Images (..., H, W, F) after a part of their light was spread over the image.
+
+    The spread is a Gaussian; what leaves the image comes back mirrored at its border.
+    """
+    if settings.scattering == 0:
+        return image
+    sigma = settings.scattering_width * image.shape[-2]
+    widths = (*(0.0,) * (image.ndim - 3), sigma, sigma, 0.0)
+    parts = (image.real, image.imag) if np.iscomplexobj(image) else (image,)
+    wide = [gaussian_filter(part.astype(np.float64), widths, mode="reflect", truncate=3.0) for part in parts]
+    spread = wide[0] + 1j * wide[1] if len(wide) == 2 else wide[0]
+    return np.asarray((1 - settings.scattering) * image + settings.scattering * spread)
