@@ -116,7 +116,7 @@ def imperfections(sensor: SensorSettings) -> Iterator[tuple[str, SensorSettings]
 def measured(
     predictor: Predictor, dataset: Dataset, scenes: Sequence[str], sensor: SensorSettings, captured: int
 ) -> tuple[Summary, float, float]:
-    """Metrics of the scenes as the camera measures them, mean electrons of a sensor pixel, part saturated."""
+    """Metrics of the scenes as the camera measures them, median electrons of a pixel, part saturated."""
     camera = Camera(sensor, predictor.config.inputs.frequencies_hz)
     empty = Camera(replace(sensor, frames=captured or 1), predictor.config.inputs.frequencies_hz)
     places = predictor.config.inputs.places(dataset.preset.itof.frequencies_hz)
@@ -128,7 +128,7 @@ def measured(
         corner = empty.capture(image.phasors("direct")[0][..., places], rng).phasor if captured else None
         found = predictor.predict(seen.phasor, corner)
         metrics.append(image_metrics(found.radial_depth_m, found.mask, truth.radial_depth_m, truth.mask))
-        electrons.append(float(seen.signal_e.mean()))
+        electrons.append(float(np.median(seen.signal_e)))
         saturated.append(float(seen.saturated.mean()))
     return summarise(metrics), float(np.mean(electrons)), float(np.mean(saturated))
 

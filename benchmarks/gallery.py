@@ -30,8 +30,9 @@ from model.prediction.figures import BACKGROUND, depth_range, write_figure
 from model.prediction.predictor import BATCH, load
 from scenegen import open_dataset
 
-COLUMNS = 2  # scenes in a row, three pictures each
-TITLES = ("truth", "prediction", "probability")
+COLUMNS = 2  # scenes in a row
+TITLES = ("truth", "prediction", "probability (outline: truth)", "expected error of the depth")
+MOST_ERROR_M = 0.1  # and more: white
 
 
 @dataclass(frozen=True)
@@ -102,28 +103,35 @@ def predicted(run: str, folder: Path) -> list[Shown]:
 
 
 def drawn(scenes: list[Shown]) -> Figure:
-    """Three pictures for each scene, several scenes in a row."""
+    """Three pictures for each scene, four if the network expects errors; several scenes in a row."""
     rows = -(-len(scenes) // COLUMNS)
+    titles = TITLES if scenes[0].prediction.depth_error_m is not None else TITLES[:3]
+    count = len(titles)
     height, width = scenes[0].truth.mask.shape
     each = 1.75  # inches
-    figure = Figure(figsize=(3 * COLUMNS * each, rows * (each * height / width + 0.25)), layout="constrained")
+    figure = Figure(
+        figsize=(count * COLUMNS * each, rows * (each * height / width + 0.25)), layout="constrained"
+    )
     FigureCanvasAgg(figure)
-    grid = figure.subplots(rows, 3 * COLUMNS, squeeze=False)
+    grid = figure.subplots(rows, count * COLUMNS, squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
     for place, scene in enumerate(scenes):
         row, column = divmod(place, COLUMNS)
-        panels = grid[row, 3 * column : 3 * column + 3]
+        panels = grid[row, count * column : count * (column + 1)]
         near_m, far_m = depth_range(scene.truth, scene.prediction)
         for axes, view in zip(panels, (scene.truth, scene.prediction), strict=False):
             _draw(axes, np.where(view.mask, view.radial_depth_m, np.nan), "viridis", near_m, far_m)
         _draw(panels[2], probabilities(scene.prediction.phasor), "magma", 0, 1)
         if scene.truth.mask.any() and not scene.truth.mask.all():
             panels[2].contour(scene.truth.mask, levels=[0.5], colors="white", linewidths=0.8)
+        if scene.prediction.depth_error_m is not None:
+            error_m = np.where(scene.prediction.mask, scene.prediction.depth_error_m, np.nan)
+            _draw(panels[3], error_m, "magma", 0, MOST_ERROR_M)
         panels[0].set_title(scene.name, fontsize=7, loc="left")
         panels[1].set_title(f"MAE {100 * scene.metrics.depth_mae_m:.1f} cm", fontsize=7, loc="left")
         panels[2].set_title(f"mIoU {scene.metrics.miou:.2f}", fontsize=7, loc="left")
-    figure.suptitle("for each scene: " + ", ".join(TITLES) + " (outline: truth)", fontsize=9)
+    figure.suptitle("for each scene: " + ", ".join(titles), fontsize=9)
     return figure
 
 
