@@ -172,7 +172,8 @@ class TrainSettings:
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
         if self.uncertainty and not self.predicts_probability:
             raise ValueError(
-                "uncertainty needs target mask+depth, which has a depth of each object pixel: leave it out"
+                "uncertainty is that of an object pixel's depth, which only target mask+depth has: set it to "
+                "false (--no-uncertainty)"
             )
         if self.freeze == "all-but-uncertainty" and not self.uncertainty:
             raise ValueError("freeze all-but-uncertainty would train nothing: it needs uncertainty")

@@ -51,6 +51,9 @@ class Camera:
     def capture(self, phasor: Any, rng: np.random.Generator) -> Captured:
         """Measure images.
 
+        The amplitude at the lowest frequency stands for the brightness: light of one path has the same
+        amplitude at every frequency, and the light of a pixel is almost that of one path.
+
         Parameters
         ----------
         phasor : (..., H, W, F) complex phasors of scenes (docs/files.md has their unit), of numpy or another
@@ -61,9 +64,6 @@ class Camera:
         Raises
         ------
         ValueError : the number of frequencies differs, or H and W do not fit the sensor.
-
-        The amplitude at the lowest frequency stands for the brightness: light of one path has the same
-        amplitude at every frequency, and the light of a pixel that of almost one path.
         """
         xp = array_namespace(phasor)
         seen = np.asarray(phasor if xp.__name__.endswith("numpy") else phasor.cpu(), dtype=np.complex128)
@@ -173,7 +173,7 @@ def phase_noise_rad(settings: SensorSettings, signal_e: float, frequency_hz: flo
     signal_e : S, electrons of the emitter's light in both taps in a raw frame.
 
     Source: Lange and Seitz, "Solid-state time-of-flight range camera", IEEE J. Quantum Electronics 37, 2001,
-    eq. 11 and 12, for four steps.
+    for four steps.
     """
     other_e = ambient_rate_e_s(settings) * settings.integration_s
     dark_e = 2 * settings.dark_current_e_s * settings.integration_s

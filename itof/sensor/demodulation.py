@@ -6,10 +6,9 @@ the rest. For light of S electrons and phase φ their difference is
     D_n = S sum_h C_h cos(h (φ - θ_n)),    z = 2 / (N C_1) sum_n D_n exp(j θ_n).
 
 C_h / C_1 follows from the waveforms of light and reference, and C_1 from the demodulation contrast, the
-largest D / S. Harmonics
-h with h ± 1 a multiple of N fold into z: with four steps, the third and the fifth make a phase error of four
-cycles, the wiggling of square-wave cameras. Harmonics are those of the light of a pixel as a whole, 99.8 % of
-which is direct: their phase is h times that of the pixel.
+largest D / S. Harmonics for which h + 1 or h - 1 is a multiple of N fold into z: with four steps, the third
+and the fifth make a phase error of four cycles, the wiggling of square-wave cameras. Harmonics are those of
+the light of a pixel as a whole, 99.8 % of which is direct: their phase is h times that of the pixel.
 
 Arrays may be of numpy or of any other library of the array API.
 """
@@ -25,13 +24,13 @@ from numpy.typing import NDArray
 
 from itof.sensor.settings import SensorSettings
 
-_TABLE = 2**14  # steps of a period; linear interpolation errs by less than 1e-8
+_TABLE = 2**14  # steps of a period; linear interpolation errs by less than 1e-7
 
 
 def first_harmonic(settings: SensorSettings, frequency_hz: float) -> float:
     """C_1 at a frequency."""
     frequencies_hz, values = zip(*settings.contrast, strict=True)
-    angle = np.linspace(0, 2 * np.pi, 721)  # both waves are symmetric, so the largest value is at 0 or π
+    angle = np.linspace(0, 2 * np.pi, 721)
     wave = sum(part * np.cos(h * angle) for h, part in harmonics(settings, frequency_hz).items())
     return float(np.interp(frequency_hz, frequencies_hz, values) / np.abs(wave).max())
 

@@ -58,7 +58,7 @@ def falloff(settings: SensorSettings, width: int, height: int) -> NDArray[np.flo
 
 
 def scattered(settings: SensorSettings, image: NDArray[Any]) -> NDArray[Any]:
-    """Images (..., H, W, F) after a part of their light was spread over the image.
+    """Phasors (..., H, W, F) after the lens has spread a part of their light over the image.
 
     The spread is a Gaussian; what leaves the image comes back mirrored at its border.
     """
@@ -66,7 +66,5 @@ def scattered(settings: SensorSettings, image: NDArray[Any]) -> NDArray[Any]:
         return image
     sigma = settings.scattering_width * image.shape[-2]
     widths = (*(0.0,) * (image.ndim - 3), sigma, sigma, 0.0)
-    parts = (image.real, image.imag) if np.iscomplexobj(image) else (image,)
-    wide = [gaussian_filter(part.astype(np.float64), widths, mode="reflect", truncate=3.0) for part in parts]
-    spread = wide[0] + 1j * wide[1] if len(wide) == 2 else wide[0]
+    spread = gaussian_filter(image, widths, mode="reflect", truncate=3.0)
     return np.asarray((1 - settings.scattering) * image + settings.scattering * spread)

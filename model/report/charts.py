@@ -130,7 +130,7 @@ def uncertainty_charts(report: Report) -> tuple[Chart, ...]:
         return ()
     pairs = [(s.expected_mae_m or 0.0, s.prediction.depth_mae_m) for s in report.scenes]
     expected, actual = (tuple(100 * pair[side] for pair in pairs) for side in (0, 1))
-    most = max(*expected, *actual)
+    probabilities = (reliability.predicted, reliability.observed)
     return (
         Chart(
             "reliability",
@@ -138,48 +138,30 @@ def uncertainty_charts(report: Report) -> tuple[Chart, ...]:
             "part that shows the object",
             (
                 Curve("as predicted", "baseline", (0.0, 1.0), (0.0, 1.0), width_pt=1.2),
-                Curve(
-                    f"pixels in {BINS} bins",
-                    "prediction",
-                    reliability.predicted,
-                    reliability.observed,
-                    "dots",
-                ),
+                Curve(f"pixels in {BINS} bins", "prediction", *probabilities, "dots"),
             ),
         ),
-        Chart(
-            "expected_mae",
-            "MAE that the network expects, cm",
-            "MAE over all pixels, cm",
-            (
-                Curve("as expected", "baseline", (0.0, most), (0.0, most), width_pt=1.2),
-                Curve(f"{len(pairs)} scenes", "prediction", expected, actual, "points"),
-                Curve("mean", "truth", (float(np.mean(expected)),), (float(np.mean(actual)),), "rings"),
-            ),
+        _against_expected(
+            *("expected_mae", "MAE that the network expects, cm", "MAE over all pixels, cm"),
+            Curve(f"{len(pairs)} scenes", "prediction", expected, actual, "points"),
+            (float(np.mean(expected)), float(np.mean(actual))),
         ),
     )
 
 
 def depth_error_charts(report: Report) -> tuple[Chart, ...]:
-    """Actual against expected error of the depth of object pixels; none for a network without expectation."""
+    """Actual against expected error of the depth of object pixels; none for a network that expects none."""
     found = report.depth_reliability
     if found is None:
         return ()
     expected, actual = (tuple(100 * m for m in values) for values in (found.expected_m, found.actual_m))
-    most = max(*expected, *actual)
-    mean_expected, mean_actual = (100 * mean_m for mean_m in found.means_m)
-    return (
-        Chart(
-            "depth_error",
-            "expected error of the depth, cm",
-            "mean error of the depth, cm",
-            (
-                Curve("as expected", "baseline", (0.0, most), (0.0, most), width_pt=1.2),
-                Curve(f"{sum(found.pixels)} object pixels in bins", "prediction", expected, actual, "dots"),
-                Curve("mean", "truth", (mean_expected,), (mean_actual,), "rings"),
-            ),
-        ),
+    mean_expected_m, mean_actual_m = found.means_m
+    chart = _against_expected(
+        *("depth_error", "expected error of the depth, cm", "mean error of the depth, cm"),
+        Curve(f"{sum(found.pixels)} object pixels in bins", "prediction", expected, actual, "dots"),
+        (100 * mean_expected_m, 100 * mean_actual_m),
     )
+    return (chart,)
 
 
 def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
@@ -211,6 +193,19 @@ def training_curves(history: History) -> tuple[Chart, ...]:
         for name, (label, lines) in wanted.items()
         if history.get("epoch") and all(history.get(column) for column in lines)
     )
+
+
+def _against_expected(
+    name: str, x_label: str, y_label: str, errors: Curve, mean: tuple[float, float]
+) -> Chart:
+    """Actual errors against expected ones, with the line on which both are equal and their mean."""
+    most = max(0.0, *(value for value in (*errors.x, *errors.y) if value is not None))
+    parts = (
+        Curve("as expected", "baseline", (0.0, most), (0.0, most), width_pt=1.2),
+        errors,
+        Curve("mean", "truth", (mean[0],), (mean[1],), "rings"),
+    )
+    return Chart(name, x_label, y_label, parts)
 
 
 def _histogram(name: str, label: str, ours: Sequence[float], nothing: Sequence[float]) -> Chart:

@@ -53,32 +53,42 @@ class Reliability:
         return {**asdict(self), "calibration_error": self.calibration_error}
 
 
+class _BinMeans:
+    """Means of what was expected and of what was there, over the pixels of each bin."""
+
+    def __init__(self, bins: int) -> None:
+        self._sums = np.zeros((3, bins))  # pixels, expected, there
+
+    def add(self, places: NDArray[np.intp], expected: NDArray[Any], there: NDArray[Any]) -> None:
+        """Add pixels (n,) in the bins `places`."""
+        for total, weights in zip(self._sums, (None, expected, there), strict=True):
+            total += np.bincount(places, weights, minlength=len(total))
+
+    def curve(self) -> tuple[tuple[float, ...], tuple[float, ...], tuple[int, ...]]:
+        """Both means and the number of pixels of the bins that are not empty."""
+        count, expected, there = self._sums[:, self._sums[0] > 0]
+        return (
+            tuple((expected / count).tolist()),
+            tuple((there / count).tolist()),
+            tuple(count.astype(int).tolist()),
+        )
+
+
 class ReliabilityCount:
     """Counts the pixels of many images for a `Reliability`."""
 
     def __init__(self) -> None:
-        self._pixels, self._probable, self._shown = np.zeros((3, BINS))
+        self._means = _BinMeans(BINS)
 
     def add(self, phasor: NDArray[np.complexfloating[Any, Any]], mask_gt: NDArray[np.uint8]) -> None:
         """Add images (..., H, W): predicted phasors, whose amplitude is the probability, and true mask."""
         probability = probabilities(phasor).ravel()
         places = np.minimum((probability * BINS).astype(np.intp), BINS - 1)
-        for total, weights in (
-            (self._pixels, None),
-            (self._probable, probability),
-            (self._shown, (mask_gt > 0).ravel()),
-        ):
-            total += np.bincount(places, weights, minlength=BINS)
+        self._means.add(places, probability, (mask_gt > 0).ravel())
 
     def curve(self) -> Reliability:
         """The curve of all images so far."""
-        there = self._pixels > 0
-        count = self._pixels[there]
-        return Reliability(
-            tuple((self._probable[there] / count).tolist()),
-            tuple((self._shown[there] / count).tolist()),
-            tuple(count.astype(int).tolist()),
-        )
+        return Reliability(*self._means.curve())
 
 
 @dataclass(frozen=True)
@@ -114,7 +124,7 @@ class DepthReliabilityCount:
     """Counts the pixels of many images for a `DepthReliability`."""
 
     def __init__(self) -> None:
-        self._pixels, self._expected_m, self._actual_m = np.zeros((3, len(_ERRORS_M) + 1))
+        self._means = _BinMeans(len(_ERRORS_M) + 1)
 
     def add(
         self,
@@ -128,22 +138,9 @@ class DepthReliabilityCount:
         found = prediction.mask & (mask_gt > 0)
         expected_m = prediction.depth_error_m[found].astype(np.float64)
         actual_m = np.abs(prediction.radial_depth_m[found].astype(np.float64) - radial_depth_gt_m[found])
-        places = np.searchsorted(_ERRORS_M, expected_m)
-        for total, weights in (
-            (self._pixels, None),
-            (self._expected_m, expected_m),
-            (self._actual_m, actual_m),
-        ):
-            total += np.bincount(places, weights, minlength=len(total))
+        self._means.add(np.searchsorted(_ERRORS_M, expected_m), expected_m, actual_m)
 
     def curve(self) -> DepthReliability | None:
         """The curve of all images so far; None without a pixel that has an expected error."""
-        there = self._pixels > 0
-        if not there.any():
-            return None
-        count = self._pixels[there]
-        return DepthReliability(
-            tuple((self._expected_m[there] / count).tolist()),
-            tuple((self._actual_m[there] / count).tolist()),
-            tuple(count.astype(int).tolist()),
-        )
+        expected_m, actual_m, pixels = self._means.curve()
+        return DepthReliability(expected_m, actual_m, pixels) if pixels else None

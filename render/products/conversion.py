@@ -27,6 +27,7 @@ from scenegen import (
     PathLike,
     recorded_file,
     whole_file,
+    whole_folder,
 )
 
 FAINT_HIDDEN = 3e-4  # hidden part of a faint scene of the paper, relative to the direct return
@@ -60,9 +61,21 @@ def open_transient(dataset: Dataset, scene_id: str) -> TransientReader:
 @contextmanager
 def exported_file(out: PathLike) -> Iterator[Path]:
     """`scenegen.whole_file` that raises `ExportError` if `out` cannot be written."""
+    with _refusing(out), whole_file(out) as partial:
+        yield partial
+
+
+@contextmanager
+def exported_folder(out: PathLike) -> Iterator[Path]:
+    """`scenegen.whole_folder` that raises `ExportError` if `out` cannot be written."""
+    with _refusing(out), whole_folder(out) as partial:
+        yield partial
+
+
+@contextmanager
+def _refusing(out: PathLike) -> Iterator[None]:
     try:
-        with whole_file(out) as partial:
-            yield partial
+        yield
     except OSError as error:
         raise ExportError(f"cannot write {out}: {error.strerror or error}") from None
 

@@ -12,12 +12,12 @@ from typing import Any
 
 from render.byte_size import size
 from render.products.card import read_card
-from render.products.conversion import ExportError, exported_file
+from render.products.conversion import ExportError, exported_file, exported_folder
 from render.products.export_format import FORMAT, FORMAT_VERSION
 from render.products.export_rows import Rows, new_rows
 from render.products.export_scenes import RefusedSceneError, SceneSource
 from render.products.zarr_copy import copy_to_zarr, digest_of_folder, refuse_without_zarr
-from scenegen import Dataset, PathLike, sha256_of, whole_folder
+from scenegen import Dataset, PathLike, sha256_of
 
 _ZARR = ".zarr"
 _ENDINGS = (".h5", ".hdf5", _ZARR)
@@ -130,16 +130,11 @@ def _hdf5_rows(file: Path, most: int) -> Iterator[Rows]:
 def _zarr_rows(folder: Path, most: int) -> Iterator[Rows]:
     """Rows of an HDF5 file that becomes the new Zarr folder `folder`."""
     refuse_without_zarr(folder)
-    try:
-        with whole_folder(folder) as unfinished:
-            file = (
-                unfinished.parent / f"{folder.name}.h5"
-            )  # beside it, in a folder of its own that is removed
-            with new_rows(file, most) as rows:
-                yield rows
-            copy_to_zarr(file, unfinished)
-    except OSError as error:
-        raise ExportError(f"cannot write {folder}: {error.strerror or error}") from None
+    with exported_folder(folder) as unfinished:
+        file = unfinished.with_suffix(".h5")  # in a folder that is removed at the end
+        with new_rows(file, most) as rows:
+            yield rows
+        copy_to_zarr(file, unfinished)
 
 
 def _check_name(file: Path) -> None:
