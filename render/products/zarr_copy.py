@@ -39,12 +39,13 @@ def copy_to_zarr(file: Path, folder: Path) -> None:
     with h5py.File(file) as source:
         root = zarr.open_group(folder, mode="a", zarr_format=2)
         root.attrs.update({name: _plain(value) for name, value in source.attrs.items()})
-
-        def copy(name: str, item: h5py.Dataset | h5py.Group) -> None:
-            if isinstance(item, h5py.Dataset):
+        # Not in a callback of `visititems`: it holds h5py's lock, and a thread of zarr that collects garbage
+        # of h5py would wait for it for ever.
+        names: list[str] = []
+        source.visit(names.append)
+        for name in names:
+            if isinstance(item := source[name], h5py.Dataset):
                 _copy_array(root, name, item)
-
-        source.visititems(copy)
     zarr.consolidate_metadata(root.store)
 
 
