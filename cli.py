@@ -16,7 +16,7 @@ import click
 from commandline.confirmation import YES, confirm_deletion
 from commandline.dataset_export import export_dataset
 from commandline.endings import DefaultGroup, NightGroup
-from commandline.evaluation import judge
+from commandline.evaluation import judge, refine
 from commandline.options import (
     DEVICE,
     FOLDER,
@@ -244,12 +244,14 @@ def night_eval() -> None:
 
     \b
     night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
+    night-eval refine RUN DATASET --out DIR   find the solid that explains each measurement
     night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
     night-eval export RUN --out MODEL.onnx    the network as an ONNX file
     """  # noqa: D301
 
 
 night_eval.add_command(judge)
+night_eval.add_command(refine)
 
 
 @night_eval.command(short_help="Depth maps of your own measurements.")

@@ -6,6 +6,7 @@ from .prediction.onnx_export import export_onnx
 from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
 from .report.evaluation import evaluate
+from .report.refinement import refine_split
 from .run_folder.run_config import fine_tuning_settings, run_settings
 from .run_folder.shipped import shipped_runs
 from .settings import TrainSettings, settings_from_dict, training_preset
@@ -23,6 +24,7 @@ __all__ = [
     "fine_tuning_settings",
     "load",
     "predict_file",
+    "refine_split",
     "run_settings",
     "settings_from_dict",
     "shipped_runs",

@@ -63,8 +63,16 @@ WINGS = {
         *("model.data", "model.network", "model.run_folder", "model.device", "model.settings")
     },
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
+    "model.refinement": {"model.network"},
     "model.report": {
-        *("model.prediction", "model.data", "model.network", "model.run_folder", "model.device"),
+        *(
+            "model.refinement",
+            "model.prediction",
+            "model.data",
+            "model.network",
+            "model.run_folder",
+            "model.device",
+        ),
         "model.settings",
     },
     "commandline": set(),

@@ -1,0 +1,135 @@
+"""What refinement by rendering bears: walls assumed elsewhere, drifted phases, noise, vignetting, sizes.
+
+Each row changes the measurements of the first test scenes with a single solid, or what is known of them. The
+measurements are those of the dataset; the wall is assumed elsewhere. Noise is Gaussian in each component,
+relative to the amplitude at the first frequency. *accepted* are the fits that explain all but 1 % of the
+hidden light; where a fit is not accepted, the network's depth map counts.
+
+Run:
+
+    .venv/bin/python benchmarks/refinement_limits.py night-80x60 new80 --scenes 12
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from ablations import cells
+from numpy.typing import NDArray
+from out_of_range import with_noise
+from wall_error import moved_wall
+
+from itof import pixel_rays
+from model.data.shards import Shards, open_shards
+from model.network.metrics import ImageMetrics, image_metrics, summarise
+from model.network.wall_view import wall_view
+from model.prediction.predictor import Predictor, load
+from model.refinement.refining import ACCEPTED, Family, refined
+from model.refinement.room import Room, room_of
+from model.refinement.solids import KIND_OF_SHAPE
+from scenegen import Dataset, open_dataset
+
+Phasors = NDArray[np.complexfloating]
+
+
+def unchanged(phasors: Phasors) -> Phasors:
+    """The measurement as it is."""
+    return phasors
+
+
+def drifted(phasors: Phasors) -> Phasors:
+    """Phases off by 5 mrad, with alternating signs."""
+    turned: Phasors = phasors * np.exp(5e-3j * (-1.0) ** np.arange(phasors.shape[-1]))
+    return turned
+
+
+def vignetted(phasors: Phasors) -> Phasors:
+    """Amplitudes that fall as the fourth power of the cosine, as behind a simple lens."""
+    cosine = pixel_rays(phasors.shape[-2], phasors.shape[-3], 60.0)[..., 2:]
+    dimmed: Phasors = phasors * cosine**4
+    return dimmed
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: its words, what happens to measurements, to the wall, and to the sizes."""
+
+    words: str
+    change: Callable[[Phasors], Phasors] = unchanged
+    wall_m: float = 0.0
+    wall_deg: float = 0.0
+    fits_sizes: bool = False
+    size_factor: float = 1.0
+
+
+ROWS = (
+    Row("as rendered"),
+    Row("wall assumed 1 cm and 1 degree off, phases off by 5 mrad", drifted, 0.01, 1.0),
+    Row("vignetting, fourth power of the cosine", vignetted),
+    Row("sizes fitted, from 10 % too small", fits_sizes=True, size_factor=0.9),
+    *(
+        Row(f"noise {noise:g}", partial(with_noise, noise, np.random.default_rng(0)))
+        for noise in (1e-4, 3e-4, 1e-3)
+    ),
+)
+
+
+def main() -> None:
+    """Refine the scenes of each row, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", help="run folder, or name of a network that comes with NIGHT")
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--scenes", type=int, default=12, help="test scenes with one solid, default 12")
+    given = parser.parse_args()
+    dataset = open_dataset(given.dataset)
+    shards, predictor, room = open_shards(dataset), load(given.run), room_of(dataset)
+    rows = [
+        row
+        for row, scene in zip(shards.rows("test"), shards.ids(shards.rows("test")), strict=True)
+        if len(dataset.scene(scene).hidden_objects) == 1
+    ][: given.scenes]
+    print(f"{len(rows)} scenes\n")
+    print("| | accepted | network: MAE cm | mIoU | object MAE cm | refined: MAE cm | mIoU | object MAE cm |")
+    print("|---|---|---|---|---|---|---|---|")
+    for row in ROWS:
+        found = [judged(row, predictor, dataset, shards, room, place) for place in rows]
+        before, after = ([each[part] for each in found] for part in (0, 1))
+        accepted = sum(each[2] for each in found)
+        print(
+            f"| {row.words} | {accepted} | {cells(summarise(before))} | {cells(summarise(after))} |",
+            flush=True,
+        )
+
+
+def judged(
+    row: Row, predictor: Predictor, dataset: Dataset, shards: Shards, room: Room, place: int
+) -> tuple[ImageMetrics, ImageMetrics, bool]:
+    """Metrics of the network's depth map and of the refined one, and whether the fit was accepted."""
+    block = shards.read([place])
+    used = predictor.config.inputs.places(shards.manifest.frequencies_hz)
+    phasor = row.change(block.complex_phasors()[..., used])[0]
+    view = moved_wall(wall_view(dataset), row.wall_m, row.wall_deg)
+    height, width, _ = phasor.shape
+    frequencies_hz = predictor.config.inputs.frequencies_hz
+    wall = view.expected_wall(view.direct_phasors(width, height, frequencies_hz), frequencies_hz)
+    prediction = predictor.at(view).predict(phasor, wall.direct)
+    hidden = dataset.preset.hidden_object
+    sizes = {
+        shape: tuple(row.size_factor * side for side in hidden.size_m.of(shape))
+        for shape in hidden.shapes
+        if shape in KIND_OF_SHAPE
+    }
+    assumed = replace(room, plane_per_m=wall.plane_per_m)
+    found = refined(phasor, prediction, wall, assumed, Family(sizes, row.fits_sizes), seed=place)
+    accepted = found is not None and found.misfit <= ACCEPTED
+    better = found.depth_map if found is not None and accepted else prediction
+    truth = block.radial_depth_m[0], block.mask[0]
+    before, after = (image_metrics(each.radial_depth_m, each.mask, *truth) for each in (prediction, better))
+    return before, after, accepted
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,190 @@
+"""What a measurement shows of the hidden light, once its own wall and phase offsets are taken out of it.
+
+The unknowns of the self-calibration (`itof.wall.self_calibration`) take a few dimensions of the hidden light
+with them. The same dimensions are taken out of the light of a model, so that both can be compared.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof.wall.expected_wall import ExpectedWall
+from itof.wall.self_calibration import calibrate
+
+_ROWS: Final = {True: 15, False: 10}  # of blocks of pixels, about: the hidden light is smooth over the wall
+_FEWEST_BLOCKS = 24  # for the unknowns of wall and phases, and for those of a solid
+_WALL_STEPS = 2  # of Gauss and Newton
+_FAR = 30.0  # medians of the modulus; noise differs between pixels, and edges are farther still
+
+
+@dataclass(frozen=True)
+class HiddenLight:
+    """The light of blocks of pixels over the direct light of a wall, and what of it can be compared.
+
+    Attributes
+    ----------
+    relative : (P, F) phasors over the direct light, with the modulus 1 at the first frequency.
+    rays : (P, 3) unit rays of the blocks.
+    plane_per_m : (3,) plane of the relay wall whose direct light it is.
+    weight : (P,) of the blocks, proportional to the inverse standard deviation of noise.
+    slope : (F,) phase of the direct light by the wall's distance, rad/m.
+    noise : standard deviation of the noise in a component of `relative` times `weight`, estimated.
+    """
+
+    relative: NDArray[np.complex128]
+    rays: NDArray[np.float64]
+    plane_per_m: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    noise: float
+
+    @classmethod
+    def of(
+        cls, phasor: NDArray[np.complexfloating[Any, Any]], wall: ExpectedWall, *, fine: bool
+    ) -> HiddenLight | None:
+        """The light of a measurement (H, W, F) over the direct light of the wall that it shows by itself.
+
+        Parameters
+        ----------
+        wall : where the relay wall is expected.
+        fine : smaller blocks of pixels.
+
+        Returns
+        -------
+        None where too few blocks of pixels see the wall, or there is no hidden light at all.
+        """
+        found = calibrate(phasor, wall)
+        strength = np.abs(found.direct[..., :1])
+        safe = np.where((phasor != 0).all(-1) & (found.direct != 0).all(-1), 1.0, np.nan)[..., None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = phasor * np.conj(found.direct) / np.abs(found.direct) ** 2 * strength
+            relative = relative / np.abs(phasor[..., :1]) * safe
+        strength = np.abs(wall.direct[..., :1]) * safe
+        strength = strength / np.nanmax(strength, initial=np.finfo(float).tiny)
+        size = max(1, phasor.shape[0] // _ROWS[fine])
+        noise = _noise(relative.imag * strength) * _gain_of_noise(size)
+        relative, rays, weight = (_blocks(each, size) for each in (relative, wall.rays * safe, strength))
+        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        plane = np.asarray(found.plane_per_m)
+        good = np.isfinite(relative).all(1) & (rays @ plane > 0)
+        if np.count_nonzero(good) < _FEWEST_BLOCKS:
+            return None
+        light = cls(relative[good], rays[good], plane, weight[good, 0], np.asarray(wall.slope), noise)
+        return light if light.values.any() else None
+
+    def with_wall_behind(self, hidden: NDArray[np.complex128]) -> HiddenLight:
+        """The same light over that of the wall which remains when `hidden` light (P, F) is taken out.
+
+        The calibration takes hidden light for a wall that is elsewhere by up to a centimetre. If a model says
+        how much hidden light there is, the wall is where the rest of the phases says.
+        """
+        light = self
+        for _ in range(_WALL_STEPS):
+            phases = np.angle(light.relative / (1 + hidden)) * self.weight[:, None]  # (P, F)
+            columns = light._of_wall()
+            change = np.linalg.lstsq(columns, phases.T.ravel(), rcond=None)[0]
+            plane = light.plane_per_m + change[:3]
+            moved_m = 1 / (self.rays @ plane) - 1 / (self.rays @ light.plane_per_m)
+            turn = moved_m[:, None] * self.slope + change[3:]
+            light = replace(light, relative=light.relative * np.exp(-1j * turn), plane_per_m=plane)
+        return light
+
+    @cached_property
+    def values(self) -> NDArray[np.float64]:
+        """(M,) comparable values of the measurement."""
+        return self._comparable(self.relative)
+
+    @property
+    def noise_power(self) -> float:
+        """Expected sum of the squares of the noise in `values`, with three standard deviations above.
+
+        Phases have the noise of one component. Differences of real parts have twice the power, because both
+        are divided by the same amplitude.
+        """
+        blocks, frequencies = self.relative.shape
+        freedoms = blocks * (3 * frequencies - 2)
+        return self.noise**2 * freedoms * (1 + 3 * math.sqrt(2 / freedoms))
+
+    def of_model(self, hidden: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """(M,) comparable values of a model's hidden over direct light (P, F)."""
+        relative = 1 + hidden
+        return self._comparable(relative / np.abs(relative[:, :1]))
+
+    def _comparable(self, relative: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """Weighted phases without the lost dimensions, and differences of real parts between frequencies."""
+        phases = (relative.imag * self.weight[:, None]).T.ravel()  # (F P,)
+        phases = phases - self._lost @ (self._lost.T @ phases)
+        real = (relative.real[:, 1:] - relative.real[:, :1]) * self.weight[:, None]
+        return np.concatenate([phases, real.T.ravel()])
+
+    @cached_property
+    def _lost(self) -> NDArray[np.float64]:
+        """(F P, 3 + F) orthonormal basis of what the calibration takes out of the phases."""
+        basis: NDArray[np.float64] = np.linalg.qr(self._of_wall())[0]
+        return basis
+
+    def _of_wall(self) -> NDArray[np.float64]:
+        """(F P, 3 + F) derivatives of the weighted phases by the plane and by an offset of each frequency."""
+        moved = -((1 / (self.rays @ self.plane_per_m)) ** 2)[:, None] * self.rays * self.weight[:, None]
+        of_plane = np.concatenate([slope * moved for slope in self.slope])
+        of_offsets = np.kron(np.eye(len(self.slope)), self.weight[:, None])
+        return np.concatenate([of_plane, of_offsets], axis=1)
+
+
+def _noise(phases: NDArray[np.float64]) -> float:
+    """Root mean square of the white noise in phases (H, W, F) of smooth light.
+
+    The fourth differences along rows hold almost nothing of the light, and noise with 70 times its power. NaN
+    and values far above the median, as at edges, are left out.
+    """
+    if phases.shape[1] < 5:
+        return 0.0
+    rough = np.abs(np.diff(phases, 4, axis=1))
+    rough = rough[np.isfinite(rough)]
+    if not len(rough):
+        return 0.0
+    usual = rough[rough <= _FAR * np.median(rough)]
+    return float(np.sqrt((usual**2).mean() / 70))
+
+
+def _blocks(image: NDArray[Any], size: int) -> NDArray[Any]:
+    """(P, C) values of an image (H, W, C) in the middles of square blocks of `size` pixels, from their means.
+
+    Pixels that are NaN are left out. A mean differs from the value in the middle by 1/24 of the second
+    differences between blocks.
+    """
+    height, width, channels = image.shape
+    rows, columns = height // size, width // size
+    top, left = (height - rows * size) // 2, (width - columns * size) // 2
+    cut = image[top : top + rows * size, left : left + columns * size]
+    parts = np.moveaxis(cut.reshape(rows, size, columns, size, channels), 2, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a block without any light is NaN
+        blocks: NDArray[Any] = np.nanmean(parts.reshape(rows, columns, size**2, channels), axis=2)
+    if size > 1 and min(rows, columns) > 2 and np.isfinite(blocks).all():
+        blocks = blocks - _sharpening(size) * sum(_second_differences(blocks, axis) for axis in (0, 1))
+    return blocks.reshape(-1, channels)
+
+
+def _sharpening(size: int) -> float:
+    """Share of the second differences between blocks that makes their means the values in the middle."""
+    return (1 - size**-2) / 24
+
+
+def _gain_of_noise(size: int) -> float:
+    """Standard deviation of white noise in blocks over that in pixels."""
+    share = _sharpening(size)  # of each of four neighbours, less four times that of the block itself
+    return math.sqrt((1 + 4 * share) ** 2 + 4 * share**2) / size
+
+
+def _second_differences(values: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Along an axis; at both ends those of the neighbours."""
+    inner = np.diff(values, 2, axis=axis)
+    return np.concatenate([inner.take([0], axis), inner, inner.take([-1], axis)], axis=axis)

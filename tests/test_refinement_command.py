@@ -1,0 +1,134 @@
+"""``night-eval refine``: depth maps before and after, resumed, refused and damaged."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+from night_commands import night_here, refusal
+from PIL import Image
+
+from itof import DepthMap
+from scenegen import open_dataset
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def dataset(make_dataset):
+    """Two scenes that the shipped network has not seen, rendered at its size."""
+    made = make_dataset(
+        {
+            "dataset": {"count": 2, "seed": 91, "test_fraction": 1.0, "validation_fraction": 0.0},
+            "hidden_object": {"shapes": ["cube", "sphere"], "composite_fraction": 0.0},
+        }
+    )
+    done = night_here(
+        *("night-render", made.root, "--product", "itof", "--resolution", "40x30", "--error", 0.005)
+    )
+    assert done.returncode == 0, done.stderr
+    return made.root
+
+
+@pytest.fixture(scope="module")
+def refined(dataset, tmp_path_factory):
+    """Folder of a finished refinement, for reading only; and what the command printed."""
+    out = tmp_path_factory.mktemp("refined") / "out"
+    done = night_here("night-eval", "refine", "night-40x30", dataset, "--out", out, "--device", "cpu")
+    assert done.returncode == 0, done.stderr
+    return out, done.stdout
+
+
+@pytest.fixture
+def copied(refined, tmp_path):
+    return shutil.copytree(refined[0], tmp_path / "out")
+
+
+def test_solids_are_found_and_their_depth_maps_are_better(refined, dataset):
+    out, said = refined
+    result = json.loads((out / "refined.json").read_text())
+    assert "2 of 2 scenes are explained by a solid" in said
+    assert result["accepted_count"] == 2
+    for scene in result["scenes"]:
+        (true,) = open_dataset(dataset).scene(scene["scene"]).hidden_objects
+        assert scene["solid"]["shape"] == true.shape
+        # A centimetre is 0.4 % of the way, four times the error that 0.5 % of noise leaves.
+        np.testing.assert_allclose(scene["solid"]["location_m"], true.location_m, atol=0.01)
+        assert scene["refined"]["depth_mae_m"] < 0.01
+    assert result["refined"]["depth_mae_m"]["mean"] < result["network"]["depth_mae_m"]["mean"]
+    with Image.open(out / "refined.png") as picture:
+        assert picture.size[0] > 500
+    rows = list(csv.DictReader((out / "refined.csv").read_text().splitlines()))
+    assert [row["scene"] for row in rows] == ["000000", "000001"]
+    assert float(rows[0]["refined_depth_mae_m"]) == result["scenes"][0]["refined"]["depth_mae_m"]
+
+
+def test_the_depth_maps_are_those_that_were_judged(refined, dataset):
+    out, _ = refined
+    for scene in json.loads((out / "refined.json").read_text())["scenes"]:
+        written = DepthMap.read(out / "scenes" / f"{scene['scene']}.exr")
+        truth = DepthMap.read(dataset / "renders" / scene["scene"] / "mirrored.exr")
+        error_m = np.abs(written.radial_depth_m - truth.radial_depth_m).mean(dtype=np.float64)
+        assert error_m == pytest.approx(scene["refined"]["depth_mae_m"], rel=1e-4, abs=1e-7)
+
+
+def test_what_is_finished_is_kept_and_what_is_damaged_is_made_again(copied, refined, dataset):
+    first = (copied / "scenes" / "000000.json").stat().st_mtime_ns
+    (copied / "scenes" / "000001.json").write_text('{"scene": "000001"')
+    (copied / "refined.json").unlink()
+    done = night_here("night-eval", "refine", "night-40x30", dataset, "--out", copied, "--device", "cpu")
+    assert done.returncode == 0, done.stderr
+    assert (copied / "scenes" / "000000.json").stat().st_mtime_ns == first
+    for name in ("refined.json", "refined.csv", "scenes/000001.json", "scenes/000001.exr"):
+        assert (copied / name).read_bytes() == (refined[0] / name).read_bytes()
+
+
+def test_a_fit_that_is_not_accepted_leaves_the_networks_depth_map(dataset, tmp_path):
+    done = night_here(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu"),
+        *("--largest-misfit", 1e-6, "--json"),
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["accepted_count"] == 0
+    for scene in result["scenes"]:
+        assert scene["network"] == scene["refined"]
+        assert scene["misfit"] > 1e-6
+
+
+def test_other_options_need_another_folder(copied, dataset):
+    sentence = refusal(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", copied, "--device", "cpu"),
+        *("--unknown", "sizes"),
+    )
+    assert sentence == (
+        f"{copied} holds results of another run, dataset or options: choose another --out, or delete it"
+    )
+
+
+def test_a_folder_with_other_files_is_left_alone(dataset, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    sentence = refusal("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path, "--device", "cpu")
+    assert sentence == f"{tmp_path} holds other files: choose another --out"
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize("misfit", ["0", "-1", "nan", "inf"])
+def test_a_misfit_is_a_share_above_0(dataset, tmp_path, misfit):
+    sentence = refusal(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out"),
+        *(f"--largest-misfit={misfit}",),
+    )
+    assert sentence.startswith("the largest misfit is a share above 0, got ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_datasets_that_cannot_be_refined_are_named(dataset, make_dataset, seven_renders, tmp_path):
+    command = ("night-eval", "refine", "night-40x30")
+    out = ("--out", tmp_path / "out", "--device", "cpu")
+    assert "wrong resolution between stages" in refusal(*command, seven_renders, *out)
+    assert "has no train split" in refusal(*command, dataset, *out, "--split", "train")
+    many = make_dataset({"dataset": {"count": 1, "test_fraction": 1.0}, "camera_spread": {"location_m": 0.1}})
+    assert "each scene of" in refusal(*command, many.root, *out)
+    assert not (tmp_path / "out").exists()
