@@ -95,10 +95,36 @@ def test_all_that_is_lost_of_the_hidden_light_is_a_plane_and_an_offset_per_frequ
     np.testing.assert_allclose(known[3:], self_calibrated[3:], atol=largest)  # Re r_f - Re r_0
 
 
+@pytest.mark.parametrize(("shift_m", "tilt_deg"), [(0.01, 1.0), (0.02, 2.0), (-0.02, -2.0)])
+def test_what_is_lost_does_not_depend_on_where_the_wall_is_expected(wall, shift_m, tilt_deg):
+    y, x = np.mgrid[:30, :40] / 40
+    waves = (2 * x + 1.5 * y + 1, 3 * x - y, 2.5 * x + 2 * y + 2)  # of which a plane can take much
+    light = 1 + 3 * HIDDEN_RAD * np.exp(1j * np.stack(waves, axis=-1))
+    elsewhere = paper_wall(40, 30, shift_m, tilt_deg)
+    straight, moved = (
+        residual(wall.direct * light, each) - residual(wall.direct, each) for each in (wall, elsewhere)
+    )
+    change, size = (np.sqrt((each**2).mean(axis=(1, 2))) for each in (moved - straight, straight))
+    assert (change < 1e-3 * size).all()
+
+
 def test_what_is_lost_does_not_depend_on_the_strength_of_the_hidden_light(wall):
     light = hidden(wall) - 1
     weak, strong = (residual(wall.direct * (1 + times * light), wall) for times in (0.5, 2.0))
     np.testing.assert_allclose(strong, 4 * weak, atol=20 * HIDDEN_RAD**2)
+
+
+def test_a_capture_of_the_corner_loses_the_dimensions_that_the_computed_return_loses(wall):
+    """A glossy wall is bright in one place; the pixels of a fit keep the weights of the expected wall."""
+    y, x = np.mgrid[:30, :40]
+    glossy = (1 + 4 * np.exp(-((x - 28) ** 2 + (y - 8) ** 2) / 50))[..., None]
+    capture, light = wall.direct * glossy, hidden(wall)
+    expected = residual(wall.direct * light, wall)
+    found = residual(capture * light, wall.captured(capture))
+    np.testing.assert_allclose(found, expected, atol=1e-3 * HIDDEN_RAD)
+    # With weights of its own, the fit would take another part of the hidden light.
+    own = residual(capture * light, replace(wall, direct=capture))
+    assert np.sqrt(((own - expected) ** 2).mean()) > 0.05 * HIDDEN_RAD
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3])

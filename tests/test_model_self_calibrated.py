@@ -1,5 +1,6 @@
 """Runs whose channels calibrate themselves, or that need a capture: training, prediction, refusals."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +112,32 @@ def test_a_capture_of_the_empty_corner_takes_its_own_errors_along(self_run, shar
     straight, captured = (predictor.predict(*a).phasor for a in ((phasors,), (phasors * error, capture)))
     np.testing.assert_allclose(captured, straight, atol=0.02 * np.abs(straight).max())
     assert np.abs(predictor.predict(phasors * error).phasor - straight).max() > 0.1 * np.abs(straight).max()
+
+
+def test_it_is_told_where_a_capture_of_the_empty_corner_shows_the_wall(
+    self_run, capture_run, shards, tmp_path
+):
+    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors([0])
+    there = elsewhere(predictor).wall
+    unsure = there.direct * np.exp(0.3j * np.random.default_rng(0).standard_normal(there.direct.shape))
+    told = {}
+    for name, corner in (("there", there.direct), ("unsure", unsure), ("computed", predictor.reference)):
+        file = write_npz(tmp_path / f"{name}.npz", phasors=phasors, reference=corner)
+        found = predict_file(self_run, file, tmp_path / name, device="cpu", progress=False, force=True)
+        record = json.loads((tmp_path / name / "prediction.json").read_text())
+        told[name] = (
+            record["reference_wall"],
+            [each for each in found.sentences if "the empty corner" in each],
+        )
+    np.testing.assert_allclose(told["there"][0]["plane_per_m"], there.plane_per_m, atol=1e-3)
+    assert told["there"][0]["used"]
+    assert " farther than expected and turned by " in told["there"][1][0]
+    assert not told["unsure"][0]["used"]
+    assert told["unsure"][1][0].endswith("so the wall is taken to be where it is expected")
+    assert told["computed"] == (None, [])
+    file = tmp_path / "there.npz"  # of a network that knows only captures, and needs no wall
+    found = predict_file(capture_run, file, tmp_path / "capture", device="cpu", progress=False, force=True)
+    assert found.wall is None
 
 
 def test_the_error_of_a_square_wave_is_taken_out_on_request(self_run, shards):

@@ -16,6 +16,7 @@ from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 
 _FARTHEST_M = 1e9  # whose square is far from overflow
+_NEAREST = 2.0  # of the expected distance over the distance
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,15 @@ class ExpectedWall:
     direct : (H, W, F) complex direct return of the wall, in any unit; 0 where a ray misses the wall.
     rays : (H, W, 3) unit vectors through the pixel centres.
     plane_per_m : (3,) the plane m, 1/m: the wall's distance along a ray r is 1 / (m · r).
+    strength : (H, W) square root of the weight of a pixel in fits of a wall in this plane, in any unit; None
+        for the amplitude of `direct` at the first frequency.
     """
 
     frequencies_hz: tuple[float, ...]
     direct: Any
     rays: Any
     plane_per_m: Any
+    strength: Any = None
 
     @classmethod
     def of_camera(
@@ -92,7 +96,22 @@ class ExpectedWall:
     def converted(self, convert: Callable[[Any], Any]) -> ExpectedWall:
         """The same with the arrays that `convert` makes of its arrays, for another library or device."""
         arrays = {name: convert(getattr(self, name)) for name in ("direct", "rays", "plane_per_m")}
-        return replace(self, **arrays)
+        strength = None if self.strength is None else convert(self.strength)
+        return replace(self, **arrays, strength=strength)
+
+    def captured(self, direct: Any) -> ExpectedWall:
+        """The wall with the return of a capture of the empty corner (H, W, F), in the same place.
+
+        Its pixels keep their weights, which do not depend on the brightness of the capture.
+        `itof.wall.empty_corner.captured_wall` moves the wall to where the capture shows it.
+        """
+        return replace(self, direct=direct, strength=self.fit_strength)
+
+    @property
+    def fit_strength(self) -> Any:
+        """(H, W) square root of the weight of a pixel in fits of a wall in this plane."""
+        xp = array_namespace(self.direct)
+        return xp.abs(self.direct[..., 0]) if self.strength is None else self.strength
 
     def at(self, places: Sequence[int]) -> ExpectedWall:
         """The wall at some of the frequencies, given by their indices."""
@@ -108,6 +127,19 @@ class ExpectedWall:
     def slope(self) -> NDArray[np.float64]:
         """(F,) k_f, phase per metre of depth, rad/m."""
         return 2 * phase_per_metre(self.frequencies_hz)  # out and back
+
+
+def strength_elsewhere(expected_depth_m: Any, depth_m: Any) -> Any:
+    """Brightness of a diffuse wall along a ray over that of the expected wall: (L_0 / L)³, as cos / L² goes.
+
+    Arrays of numpy or of another library of the array API, metres, which broadcast; 0 or infinite where a ray
+    misses the wall, and there the result is 0. A wall at less than half of the expected distance counts as
+    being there.
+    """
+    xp = array_namespace(depth_m)
+    meets = xp.isfinite(depth_m) & (depth_m > 0) & xp.isfinite(expected_depth_m)
+    share = xp.where(meets, expected_depth_m, 0.0) / xp.where(meets, depth_m, 1.0)
+    return xp.clip(share, min=0.0, max=_NEAREST) ** 3
 
 
 def radial_depth_of_plane(rays: Any, plane_per_m: Any) -> Any:

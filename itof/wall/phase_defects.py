@@ -128,7 +128,7 @@ def _trials(phasor: Phasors, wall: ExpectedWall, free_offsets: bool) -> Iterator
                 continue
             scores = np.abs(agreement) if free_offsets else (times * agreement).real
             for order in _orders(scores):
-                names = (axis, turn, FACTORS[factor], _order_text(order, wall.frequencies_hz))
+                names = (axis, turn, FACTORS[factor], order_text(order, wall.frequencies_hz))
                 parts = tuple(name for name in names if name)
                 if len(parts) <= _MOST_DEFECTS:
                     yield PhaseDefect(parts, float(1 - scores[range(count), order].mean()))
@@ -161,7 +161,7 @@ def _agreement(
     return agreement
 
 
-def _order_text(order: tuple[int, ...], frequencies_hz: tuple[float, ...]) -> str:
+def order_text(order: tuple[int, ...], frequencies_hz: tuple[float, ...]) -> str:
     """What is wrong if the phasors given for each frequency are those of ``order``; empty if nothing."""
     moved = [place for place, other in enumerate(order) if place != other]
     if not moved:

@@ -11,11 +11,13 @@ option, the four-cycle error of a square-wave camera (2F). They follow by least 
 frequencies; the step is repeated because L depends on the plane (Gauss-Newton). φ_f = arg z_f is the measured
 phase, of which the four-cycle error is a function.
 
-The fit takes as many dimensions of the hidden light with it as it has unknowns. A pixel has the weight
-|d_0|², the inverse of its phase variance under noise. It does not depend on the measurement, so the lost
-dimensions are the same in every scene. Only pixels that are off by more than about 0.1 rad, because they do
-not see the wall, lose their weight step by step (Tukey's biweight with a falling width, of the frequency that
-fits worst).
+The fit takes as many dimensions of the hidden light with it as it has unknowns. A pixel has the weight |d|²
+of a diffuse wall in the fitted plane, the inverse of its phase variance under noise: |d_0|² of the expected
+wall, even where a capture of the empty corner gives the direct return, times (L_0 / L)^6
+(`itof.wall.expected_wall.strength_elsewhere`). It does not depend on the brightness of the measurement, so
+the lost dimensions are the same in every scene, and they are those of the wall where it is, not where it was
+expected. Only pixels that are off by more than about 0.1 rad, because they do not see the wall, lose their
+weight step by step (Tukey's biweight with a falling width, of the frequency that fits worst).
 
 `itof.wall.wall_fit` serves the diagnosis of one image: it adapts to the noise and estimates the errors.
 Arrays may be of numpy or of any other library that supports the array API standard with linear algebra.
@@ -30,7 +32,7 @@ from typing import Any, Final
 
 from array_api_compat import array_namespace, device
 
-from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane
+from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane, strength_elsewhere
 from itof.weighted_reference import log_slope, quotient, weighted_reference
 
 # Widths of the biweight in radians, one per step. With the first, a wall 0.4 m off at 60 MHz counts. With the
@@ -69,7 +71,7 @@ def calibrate(
     ----------
     phasor : (..., H, W, F) complex. Pixels that are 0 at some frequency are not used.
     wall : the expected wall, with arrays of the library and on the device of `phasor`. Its `direct` may be a
-        capture of the empty corner.
+        capture of the empty corner (`ExpectedWall.captured`).
     start_per_m : (..., 3) plane to start from; by default the expected one, which must be right to about
         c / 8f. `itof.wall.wall_search.plane_from_nothing` finds another one.
 
@@ -148,7 +150,7 @@ class _Problem:
         waves = [xp.cos(4 * cycles), xp.sin(4 * cycles)] if wiggling else []
         meets = xp.reshape(xp.isfinite(wall.radial_depth_m), (-1,))
         lit = xp.all(ratio != 0, axis=-2, keepdims=True) & meets  # (..., 1, n)
-        strength = xp.reshape(xp.astype(xp.abs(wall.direct[..., 0]), xp.float64), (-1,))
+        strength = xp.reshape(xp.astype(wall.fit_strength, xp.float64), (-1,))
         depth_m = xp.reshape(wall.radial_depth_m, (-1,))
         return cls(
             xp,
@@ -187,7 +189,8 @@ class _Problem:
         left = self.phases - turn - self.wiggle(local)
         left = left - 2 * math.pi * xp.round(left / (2 * math.pi))
         farthest = xp.max(xp.abs(left), axis=-2, keepdims=True)  # (..., 1, n)
-        weight = self.weight * (1 - xp.clip((farthest / width_rad) ** 2, max=1.0)) ** 2
+        weight = self.weight * strength_elsewhere(self.expected_depth_m, depth_m)[..., None, :] ** 2
+        weight = weight * (1 - xp.clip((farthest / width_rad) ** 2, max=1.0)) ** 2
         weight = xp.broadcast_to(weight, left.shape)  # (..., F, n)
         tangent = -(depth_m**2)[..., None, :] * xp.matrix_transpose(self.rays)  # (..., 3, n) dL / dm
         seen = basis * weight[..., None, :]  # (..., F, Q, n)

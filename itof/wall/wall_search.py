@@ -34,10 +34,10 @@ def locate_wall(
     `direct`, a measured direct return, it is only searched near the place that this return shows.
     """
     try:
-        near = _best_fit(phasor, wall, None, direct)
+        near = best_fit(phasor, wall, None, direct)
         if found(near) or direct is not None:
             return near
-        far = _best_fit(phasor, wall, plane_from_nothing(phasor, wall), None)
+        far = best_fit(phasor, wall, plane_from_nothing(phasor, wall), None)
     except ValueError:  # too few pixels
         return None
     return max(near, far, key=lambda each: float(each.wall_share.mean()))
@@ -105,12 +105,13 @@ def wall_from_nothing(
     return ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
 
 
-def _best_fit(
+def best_fit(
     phasor: NDArray[Any],
     wall: ExpectedWall,
-    start_per_m: NDArray[np.float64] | None,
-    direct: NDArray[Any] | None,
+    start_per_m: NDArray[np.float64] | None = None,
+    direct: NDArray[Any] | None = None,
 ) -> WallFit:
+    """The fit from one start (`itof.wall.wall_fit.fit_wall`), with phase offsets where they are real."""
     plane = fit_wall(phasor, wall, start_per_m=start_per_m, direct=direct)
     if len(wall.frequencies_hz) == 1:
         return plane

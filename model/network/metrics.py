@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -57,6 +58,11 @@ class Statistics:
         """Statistics of at least one value."""
         x = np.asarray(values, dtype=np.float64)
         return cls(float(x.mean()), float(x.std()), float(x.min()), float(x.max()), len(x))
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean."""
+        return self.std / math.sqrt(self.count)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from itof.wall.expected_wall import ExpectedWall
 from model.network.channels import ChannelError, InputSpec
 from scenegen import Dataset, camera_axes, wall_normal
 from scenegen.contract import STRICT, FieldOfView, Vector
+from scenegen.preset import CameraSettings
+from scenegen.scene import RelayWall
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -34,6 +36,18 @@ class WallView:
     camera_location_m: Vector
     wall_point_m: Vector
     wall_normal: Vector
+
+    @classmethod
+    def of(cls, camera: CameraSettings, wall: RelayWall) -> WallView:
+        """The view of a scene's camera and relay wall."""
+        right, down, forward = (_vector(axis) for axis in camera_axes(camera))
+        return cls(
+            horizontal_fov_deg=camera.horizontal_fov_deg,
+            camera_axes=(right, down, forward),
+            camera_location_m=camera.location_m,
+            wall_point_m=wall.location_m,
+            wall_normal=_vector(wall_normal(wall)),
+        )
 
     def direct_phasors(
         self, width: int, height: int, frequencies_hz: Sequence[float]
@@ -72,15 +86,7 @@ def wall_view(dataset: Dataset) -> WallView:
     Where each scene has its camera elsewhere, the camera is that of the preset, in the middle of them.
     """
     scene, preset = dataset.scene(dataset.ids()[0]), dataset.preset
-    camera = scene.camera if preset.is_one_corner else preset.camera
-    right, down, forward = (_vector(axis) for axis in camera_axes(camera))
-    return WallView(
-        horizontal_fov_deg=camera.horizontal_fov_deg,
-        camera_axes=(right, down, forward),
-        camera_location_m=camera.location_m,
-        wall_point_m=scene.relay_wall.location_m,
-        wall_normal=_vector(wall_normal(scene.relay_wall)),
-    )
+    return WallView.of(scene.camera if preset.is_one_corner else preset.camera, scene.relay_wall)
 
 
 def many_corners_problem(dataset: Dataset, inputs: InputSpec) -> str | None:

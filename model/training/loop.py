@@ -42,6 +42,7 @@ from model.training.refusals import (
     naming_disk,
     naming_memory,
     refuse_missing_scenes,
+    refuse_other_view,
     refuse_start,
     refuse_untrained_layers,
 )
@@ -136,6 +137,7 @@ def _train(
         shown = settings.progress and processes.is_first
         shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
     refuse_missing_scenes(shards, dataset, settings.train_scenes)
+    refuse_other_view(shards, dataset, settings.sensor)
     config = _configure(dataset, shards, settings, before, start)
     change = changed_setting(before, config) if before else None
     if change:
