@@ -7,8 +7,10 @@ import json
 from pydantic import TypeAdapter
 
 from itof.sensor.settings import SensorSettings
-from scenegen import PathLike, PresetError, read_settings
+from scenegen import Dataset, PathLike, PresetError, read_settings
 from scenegen.contract import checked
+
+_SAME_DEG = 1e-6
 
 
 def load_sensor(name_or_file: PathLike) -> SensorSettings:
@@ -23,3 +25,18 @@ def load_sensor(name_or_file: PathLike) -> SensorSettings:
         TypeAdapter(SensorSettings), json.dumps(data, default=str), origin, PresetError
     )
     return settings
+
+
+def view_problem(settings: SensorSettings, dataset: Dataset, width: int, height: int) -> str | None:
+    """Why this camera cannot measure the images (W x H) of a dataset, as a sentence; None if it can."""
+    fov_deg = dataset.preset.camera.horizontal_fov_deg
+    if abs(fov_deg - settings.horizontal_fov_deg) > _SAME_DEG:
+        return (
+            f"the camera sees {settings.horizontal_fov_deg:g} degrees and the scenes of {dataset.root} are "
+            f"rendered for {fov_deg:g}: set horizontal_fov_deg of the camera to that"
+        )
+    try:
+        settings.binning(width, height)
+    except ValueError as error:
+        return f"the camera cannot measure {dataset.root}: {error}"
+    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +11,8 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
+from itof.sensor.settings import SensorSettings
+from model.sensors import load_sensor
 from scenegen import NightError, PathLike, PresetError, inside, read_settings
 from scenegen.contract import STRICT, Positive, WholeCount, checked
 
@@ -135,10 +138,18 @@ class TrainSettings:
     """Darken hidden objects at random, at most to this part of their reflectance; residual channels only."""
     noise_sigma: NotNegative = 1e-4
     """Noise on each component, as a fraction of the amplitude at the first frequency."""
+    sensor: SensorSettings | None = None
+    """Measure every image with a camera like this one: a name in data/sensors, or a .toml file. Each image
+    is measured by another camera of this type, with its own noise; amplitude_spread is the exposure's."""
+    sensor_capture: bool = False
+    """With sensor: divide by what it makes of the empty corner, for predictions that have such a capture."""
     channel_noise_sigma: NotNegative = 0.0
     """Noise on each normalised input channel; the paper: 1."""
     channel_noise_fraction: Annotated[float, Field(ge=0, le=1)] = 1.0
     """Part of the images that get the noise on the channels; the released code: about 1/7."""
+    change_fraction: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Part of the images that get each of five changes, and no other: flips, rotation, shift, channel noise;
+    0: an image may get several. The released code: about 1/7."""
     precision: Precision = "float32"
     """Number type of the convolutions; auto: bfloat16 where the processor computes in it."""
     channels_last: bool = True
@@ -162,10 +173,23 @@ class TrainSettings:
         return self.target == "mask+depth"
 
     def __post_init__(self) -> None:
+        if self.change_fraction > 0 and self.channel_noise_fraction != 1:
+            raise ValueError(
+                "change_fraction says how many images get channel noise: leave channel_noise_fraction at 1"
+            )
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
         if self.least_reflectance < 1 and "residual" not in self.channels:
             raise ValueError("least_reflectance needs residual channels, which tell hidden from direct light")
+        if self.sensor is not None and self.reference == "capture" and "residual" in self.channels:
+            raise ValueError(
+                "reference capture needs a capture with every scene, and sensor makes none: take reference "
+                "self, with sensor_capture if predictions have one"
+            )
+        if self.sensor_capture and self.sensor is None:
+            raise ValueError(
+                "sensor_capture is a capture of the empty corner by the sensor: name one (--sensor)"
+            )
         if "wall" in self.channels and not self.reference.startswith("self"):
             raise ValueError(f"channels {self.channels} show the wall that a fit finds: take reference self")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
@@ -194,11 +218,13 @@ def training_preset(name_or_file: PathLike) -> tuple[dict[str, Any], str]:
     """Settings of a TOML file or of one in data/training, and its path.
 
     A preset with the key ``extends`` begins with the settings of the preset it names, a file beside it or
-    one of data/training.
+    one of data/training. The key ``sensor`` names a camera of data/sensors, or a TOML file
+    beside the preset, whose settings take its place.
 
     Raises
     ------
-    PresetError : no such file, not TOML, or presets that extend each other in a circle.
+    PresetError : no such file, not TOML, presets that extend each other in a circle, or a camera that
+        cannot be read.
     """
     layers: list[dict[str, Any]] = []
     origins: list[str] = []
@@ -210,7 +236,23 @@ def training_preset(name_or_file: PathLike) -> tuple[dict[str, Any], str]:
         origins.append(origin)
         name = _extended(data.pop("extends", None), Path(origin))
         layers.append(data)
-    return {key: value for layer in reversed(layers) for key, value in layer.items()}, origins[0]
+    settings = {key: value for layer in reversed(layers) for key, value in layer.items()}
+    if isinstance(settings.get("sensor"), str):
+        settings["sensor"] = asdict(_sensor_of(settings["sensor"], origins))
+    return settings, origins[0]
+
+
+def _sensor_of(name: str, origins: list[str]) -> SensorSettings:
+    """The camera that a preset names: a file beside it or beside one that it extends, or in data/sensors."""
+    try:
+        for origin in origins:
+            beside = inside(Path(origin).parent, name)
+            if beside.is_file():
+                return load_sensor(beside)
+        return load_sensor(name)
+    except (NightError, OSError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise PresetError(f"{origins[0]}, key sensor: {reason}") from None
 
 
 def _read_layer(name: PathLike, origins: list[str]) -> tuple[dict[str, Any], str]:

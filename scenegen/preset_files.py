@@ -21,7 +21,7 @@ def read_settings(kind: str, name_or_file: PathLike) -> tuple[dict[str, Any], st
 
     Parameters
     ----------
-    kind : folder of data/: ``presets`` (datasets), ``training`` or ``sensors``.
+    kind : folder of data/: ``presets`` (datasets), ``training``, ``sensors`` or ``captures``.
     name_or_file : name without ``.toml``, or a path.
 
     Returns

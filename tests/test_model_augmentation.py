@@ -6,27 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from wall_rows import HEIGHT, WIDTH, batch_of, draws_of, measured_rows
 
-from itof import direct_phasors, network_channels, phase_per_metre, residual_channels, split_components
-from itof.wall.expected_wall import ExpectedWall
-from model.data.augmentation import Augmentation, Draws, Warp
-from model.data.batches import Batch, BatchMaker
-from model.data.rows import ARRAYS, RowBlock
-from model.network.channels import InputSpec
+from itof import network_channels, residual_channels
+from model.data.augmentation import Augmentation, Warp
+from model.data.batches import Batch
+from model.data.rows import ARRAYS
+from model.settings import TrainSettings
 
-HEIGHT, WIDTH = 6, 10
-FREQUENCIES_HZ = (20e6, 50e6)
 PAPER = Augmentation(flip_rows=True, flip_columns=True, rotation_deg=180.0, translation=0.2)
-FACING_THE_WALL = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-
-
-def batch_of(count: int = 2, height: int = HEIGHT, width: int = WIDTH) -> Batch:
-    generator = torch.Generator().manual_seed(0)
-    mask = (torch.rand(count, height, width, generator=generator) < 0.3).float()
-    target = torch.randn(count, 2, height, width, generator=generator) * mask[:, None]
-    return Batch(
-        torch.randn(count, 3, height, width, generator=generator), target, 3 * target[:, 0].abs(), mask
-    )
 
 
 def warp(*, rows: bool = False, columns: bool = False, angle_rad: float = 0.0, shift=(0.0, 0.0)) -> Warp:
@@ -41,30 +29,6 @@ def assert_each(result: Batch, batch: Batch, change, *, atol: float) -> None:
     torch.testing.assert_close(result.channels, change(batch.channels), rtol=0, atol=atol)
     for name in ("target", "radial_depth_m", "mask"):
         assert torch.equal(getattr(result, name), change(getattr(batch, name))), name
-
-
-def draws_of(count: int, seed: int = 0) -> Draws:
-    return Draws.of(count, torch.Generator().manual_seed(seed))
-
-
-def measured_rows(count: int = 5) -> tuple[RowBlock, BatchMaker, np.ndarray, np.ndarray]:
-    """Rows of a wall with hidden light, their maker, and phasors and direct return as numpy arrays."""
-    rng = np.random.default_rng(2)
-    args = (WIDTH, HEIGHT, 60.0, FREQUENCIES_HZ, FACING_THE_WALL, (0, 0, 0), (0, 0, 2), (0, 0, 1))
-    direct = direct_phasors(*args)
-    opl_m = rng.uniform(6, 9, (count, HEIGHT, WIDTH, 1))
-    phasor = direct + 2e-3 * np.abs(direct) * np.exp(1j * opl_m * phase_per_metre(FREQUENCIES_HZ))
-    spec = InputSpec("paper+residual", FREQUENCIES_HZ, 0.3, (1e-3, 2e-3, 3e-3), "measured")
-    wall = ExpectedWall.of_camera(direct, FREQUENCIES_HZ, *args[2:3], *args[4:])
-    maker = BatchMaker.for_shards(spec, FREQUENCIES_HZ, wall, torch.device("cpu"))
-    truth = batch_of(count)
-    components = np.moveaxis(split_components(phasor), -1, 1).astype(np.float32)
-    rows = RowBlock(
-        tuple(range(count)),
-        torch.from_numpy(components),
-        *(truth.target, truth.radial_depth_m, truth.mask.to(torch.uint8)),
-    )
-    return rows, maker, phasor, direct
 
 
 def test_no_augmentation_changes_nothing():
@@ -264,6 +228,29 @@ def test_noise_of_the_channels_and_of_the_phasors_are_different_numbers():
     channels = torch.zeros(200, 4, HEIGHT, WIDTH)
     other = Augmentation(channel_noise_sigma=1.0).seen(channels, draws).flatten()[: len(relative)]
     assert abs(float(torch.corrcoef(torch.stack([relative, other]))[0, 1])) < 4.5 / len(relative) ** 0.5
+
+
+def test_with_a_fraction_for_each_change_an_image_gets_at_most_one():
+    draws = draws_of(7000)
+    apart = replace(PAPER, channel_noise_sigma=1.0, change_fraction=1 / 7)
+    warp, channels = apart.warp(draws), torch.zeros(7000, 1, 1, 2)
+    noisy = (apart.seen(channels, draws) != 0).any(dim=(1, 2, 3))
+    changed = torch.stack(
+        [warp.flip_rows, warp.flip_columns, warp.angle_rad != 0, (warp.shift != 0).any(dim=1), noisy]
+    )
+    assert int(changed.sum(dim=0).max()) == 1
+    counts = [int(kind.sum()) for kind in (*changed, ~changed.any(dim=0))]
+    # Binomial, 7000 draws: 1000 +- 29 of each kind, 2000 +- 38 unchanged; 4.5 of those.
+    np.testing.assert_allclose(counts, [1000, 1000, 1000, 1000, 1000, 2000], atol=171)
+    together = replace(apart, change_fraction=0.0).warp(draws)
+    assert torch.equal(warp.angle_rad[changed[2]], together.angle_rad[changed[2]])
+    assert torch.equal(warp.shift[changed[3]], together.shift[changed[3]])
+    with pytest.raises(ValueError, match="leave channel_noise_fraction at 1"):
+        TrainSettings(change_fraction=0.1, channel_noise_fraction=0.5)
+    without = replace(apart, flip_columns=False, rotation_deg=0.0)
+    assert torch.equal(without.warp(draws).flip_rows, warp.flip_rows)
+    assert not without.warp(draws).flip_columns.any()
+    assert not without.warp(draws).angle_rad.any()
 
 
 def test_a_fraction_of_the_images_gets_the_noise_of_the_channels():

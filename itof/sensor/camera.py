@@ -11,8 +11,10 @@ import numpy as np
 from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 
-from itof.sensor.demodulation import calibrated, first_harmonic, phasor_of_differences, tap_differences
-from itof.sensor.light import ambient_rate_e_s, falloff, scattered, signal_rate_e_s
+from itof.sensor.demodulation import calibrated, phasor_of_differences, tap_differences
+from itof.sensor.fixed_pattern import alive_pixels, tap_patterns
+from itof.sensor.geometry import geometry
+from itof.sensor.light import ambient_rate_e_s, falloff, leaked, scattered, signal_rate_e_s
 from itof.sensor.settings import SensorSettings
 
 _FEW_E = 1e6  # above, Poisson's distribution is that of Gauss to 1e-3 of its width, and drawn as such
@@ -67,10 +69,7 @@ class Camera:
         """
         xp = array_namespace(phasor)
         seen = np.asarray(phasor if xp.__name__.endswith("numpy") else phasor.cpu(), dtype=np.complex128)
-        if seen.shape[-1] != len(self.frequencies_hz):
-            raise ValueError(
-                f"expected phasors at {len(self.frequencies_hz)} frequencies, got {seen.shape[-1]}"
-            )
+        self._refuse_other_frequencies(seen)
         height, width = seen.shape[-3:-1]
         images = seen.reshape(-1, *seen.shape[-3:])
         parts = [self._one(image, self.settings.binning(width, height), rng) for image in images]
@@ -81,41 +80,106 @@ class Camera:
         ]
         return Captured(*(xp.asarray(each, device=device(phasor)) for each in found))
 
+    def raw_frames(self, phasor: NDArray[Any], rng: np.random.Generator) -> NDArray[np.float64]:
+        """Numbers that the sensor is read with, before any firmware.
+
+        Parameters
+        ----------
+        phasor : (H, W, F) complex phasors of a scene, as in `capture`.
+
+        Returns
+        -------
+        (frames, F, N, 2, sensor height, sensor width) numbers of the converter (DN), or electrons if there is
+        none, of both taps in each of N raw frames; of dead pixels 0.
+
+        Raises
+        ------
+        ValueError : as in `capture`.
+        """
+        self._refuse_other_frequencies(phasor)
+        settings = self.settings
+        binning = settings.binning(phasor.shape[1], phasor.shape[0])
+        light = self._light(np.asarray(phasor, dtype=np.complex128), rng)
+        frames = [
+            [
+                self._tap_images(light, place, frequency_hz, binning, rng)[0]
+                for place, frequency_hz in self._places
+            ]
+            for _ in range(settings.frames)
+        ]
+        taps = np.moveaxis(np.asarray(frames), (-2, -1), (2, 3))  # (frames, F, N, 2, height, width)
+        if settings.adc_e_per_dn is not None:
+            taps = np.round(taps / settings.adc_e_per_dn + settings.adc_offset_dn)
+        return np.asarray(taps * self._alive)
+
     def _one(
         self, image: NDArray[np.complex128], binning: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
         """`capture` of one image (H, W, F)."""
         settings = self.settings
-        height, width = image.shape[:2]
-        lens = falloff(settings, width, height)  # (H, W)
-        light = scattered(settings, image) * lens[..., None]
-        drift = settings.phase_drift_rad * rng.standard_normal(len(self.frequencies_hz))
-        light = light * np.exp(1j * drift)
-        electrons = signal_rate_e_s(settings) * settings.integration_s  # per radiance
-        brightness = np.abs(light[..., 0])  # (H, W)
-        other_e = ambient_rate_e_s(settings) * settings.integration_s * lens  # in both taps
-        dark_e = settings.dark_current_e_s * settings.integration_s  # in each
+        light = self._light(image, rng)
         alive = self._alive
         total = np.zeros(image.shape, dtype=np.complex128)
         saturated = np.zeros(image.shape[:2])
-        frames = settings.frames * len(self.frequencies_hz) * settings.phase_steps * 2
-        for place, frequency_hz in enumerate(self.frequencies_hz):
-            difference = tap_differences(settings, light[..., place], frequency_hz)  # (H, W, N)
+        readings = settings.frames * len(self.frequencies_hz) * settings.phase_steps * 2
+        for place, frequency_hz in self._places:
             for _ in range(settings.frames):
-                found = np.zeros((settings.height, settings.width, settings.phase_steps))
-                for sign in (1, -1):
-                    mine = (brightness[..., None] + sign * difference) * electrons  # twice this tap's part
-                    mean_e = np.maximum(mine + other_e[..., None], 0) / 2 + dark_e
-                    tap_e, full = self._read(_repeated(mean_e, binning), sign, rng)
-                    found += sign * tap_e
-                    saturated += _binned(full.sum(axis=-1) * alive, binning) / frames
-                z = phasor_of_differences(settings, found, frequency_hz)  # (sensor height, width)
-                z = calibrated(settings, z, frequency_hz)
-                total[..., place] += _binned(z * alive, binning)
+                taps, full = self._tap_images(light, place, frequency_hz, binning, rng)
+                saturated += _binned(full * alive, binning) / readings
+                z = phasor_of_differences(settings, taps[..., 0] - taps[..., 1], frequency_hz)
+                total[..., place] += _binned(calibrated(settings, z, frequency_hz) * alive, binning)
         lit = _binned(alive.astype(np.float64), binning)
         share = np.divide(1.0, lit, out=np.zeros_like(lit), where=lit > 0)
-        mean = total * share[..., None] / (settings.frames * electrons)
-        return mean, saturated * share, brightness * electrons
+        mean = total * share[..., None] / (settings.frames * self._electrons)
+        return mean, saturated * share, np.abs(light[..., 0]) * self._electrons
+
+    @property
+    def _places(self) -> list[tuple[int, float]]:
+        return list(enumerate(self.frequencies_hz))
+
+    @property
+    def _electrons(self) -> float:
+        """Electrons of a raw frame in both taps, per radiance."""
+        return signal_rate_e_s(self.settings) * self.settings.integration_s
+
+    def _refuse_other_frequencies(self, phasor: Any) -> None:
+        if phasor.shape[-1] != len(self.frequencies_hz):
+            raise ValueError(
+                f"expected phasors at {len(self.frequencies_hz)} frequencies, got {phasor.shape[-1]}"
+            )
+
+    def _light(self, image: NDArray[np.complex128], rng: np.random.Generator) -> NDArray[np.complex128]:
+        """(H, W, F) phasors behind the lens, with the phases of this image."""
+        there = geometry(self.settings, image, self.frequencies_hz)
+        height, width = image.shape[:2]
+        lens = falloff(self.settings, width, height)  # (H, W)
+        drift = self.settings.phase_drift_rad * rng.standard_normal(len(self.frequencies_hz))
+        light = scattered(self.settings, there) * lens[..., None] * np.exp(1j * drift)
+        return np.asarray(leaked(self.settings, light))
+
+    def _tap_images(
+        self,
+        light: NDArray[np.complex128],
+        place: int,
+        frequency_hz: float,
+        binning: int,
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Electrons (height, width, N, 2) that the taps are read with; full ones of each sensor pixel."""
+        settings = self.settings
+        height, width = light.shape[:2]
+        other_e = ambient_rate_e_s(settings) * settings.integration_s * falloff(settings, width, height)
+        dark_e = settings.dark_current_e_s * settings.integration_s  # in each tap
+        brightness = np.abs(light[..., 0])  # (H, W)
+        difference = tap_differences(settings, light[..., place], frequency_hz)  # (H, W, N)
+        found, full = [], np.zeros((settings.height, settings.width))
+        for sign in (1, -1):
+            mine = (brightness[..., None] + sign * difference) * self._electrons  # twice this tap's part
+            mean_e = np.maximum(mine + other_e[..., None], 0) / 2 + dark_e
+            tap_e, is_full = self._read(_repeated(mean_e, binning), sign, rng)
+            found.append(tap_e)
+            full += is_full.sum(axis=-1)
+        return np.stack(found, axis=-1), full
 
     def _read(
         self, mean_e: NDArray[np.float64], tap: int, rng: np.random.Generator
@@ -141,47 +205,11 @@ class Camera:
 
     @cached_property
     def _pattern(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Gain and offset in electrons of either tap of every sensor pixel."""
-        settings, size = self.settings, (self.settings.height, self.settings.width)
-        rng = np.random.default_rng([settings.pattern_seed, 0])
-        return [
-            (
-                1 + settings.gain_spread * rng.standard_normal(size),
-                settings.offset_spread_e * rng.standard_normal(size),
-            )
-            for _ in range(2)
-        ]
+        return tap_patterns(self.settings)
 
     @cached_property
     def _alive(self) -> NDArray[np.bool_]:
-        """(sensor height, width) whether a pixel gives anything."""
-        rng = np.random.default_rng([self.settings.pattern_seed, 1])
-        alive: NDArray[np.bool_] = (
-            rng.random((self.settings.height, self.settings.width)) >= self.settings.dead_pixels
-        )
-        return alive
-
-
-def phase_noise_rad(settings: SensorSettings, signal_e: float, frequency_hz: float) -> float:
-    """Standard deviation of the phase of one sensor pixel in one measurement of N raw frames, radians.
-
-    sqrt(2 V / N) / (C S), where V is the variance of a difference of taps: the electrons of signal and
-    ambient light, those of the dark current and the read noise of both taps.
-
-    Parameters
-    ----------
-    signal_e : S, electrons of the emitter's light in both taps in a raw frame.
-
-    Source: Lange and Seitz, "Solid-state time-of-flight range camera", IEEE J. Quantum Electronics 37, 2001,
-    for four steps.
-    """
-    other_e = ambient_rate_e_s(settings) * settings.integration_s
-    dark_e = 2 * settings.dark_current_e_s * settings.integration_s
-    shot = signal_e + other_e + dark_e if settings.shot_noise else 0.0
-    variance = shot + 2 * settings.read_noise_e**2
-    return float(
-        np.sqrt(2 * variance / settings.phase_steps) / (first_harmonic(settings, frequency_hz) * signal_e)
-    )
+        return alive_pixels(self.settings)
 
 
 def _shot(mean_e: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:

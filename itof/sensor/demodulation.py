@@ -15,7 +15,8 @@ Arrays may be of numpy or of any other library of the array API.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,8 @@ _TABLE = 2**14  # steps of a period; linear interpolation errs by less than 1e-7
 def first_harmonic(settings: SensorSettings, frequency_hz: float) -> float:
     """C_1 at a frequency."""
     frequencies_hz, values = zip(*settings.contrast, strict=True)
-    angle = np.linspace(0, 2 * np.pi, 721)
-    wave = sum(part * np.cos(h * angle) for h, part in harmonics(settings, frequency_hz).items())
+    parts = harmonics(settings, frequency_hz)
+    wave = np.array([*parts.values()]) @ _cosines(tuple(parts))
     return float(np.interp(frequency_hz, frequencies_hz, values) / np.abs(wave).max())
 
 
@@ -45,25 +46,33 @@ def harmonics(settings: SensorSettings, frequency_hz: float) -> dict[int, float]
     if "sinusoidal" in (settings.emitter_waveform, settings.reference_waveform):
         return {1: 1.0}  # the other wave's harmonics find no partner
 
-    def product(h: int) -> float:
-        light = math.sin(math.pi * h * settings.emitter_duty) / h
-        light *= float(np.sinc(h * frequency_hz * settings.rise_time_s))
-        return light * math.sin(math.pi * h / 2) / h
-
-    first = product(1)
-    found = {h: product(h) / first for h in range(1, settings.highest_harmonic + 1)}
-    return {h: part for h, part in found.items() if abs(part) > 1e-12}
+    h = np.arange(1, settings.highest_harmonic + 1)
+    light = np.sin(np.pi * h * settings.emitter_duty) * np.sinc(h * frequency_hz * settings.rise_time_s)
+    product = light * np.sin(np.pi * h / 2) / h**2
+    parts = (product / product[0]).tolist()
+    return {count: part for count, part in enumerate(parts, 1) if abs(part) > 1e-12}
 
 
-def tap_differences(settings: SensorSettings, phasor: Any, frequency_hz: float) -> Any:
-    """(..., N) expected differences of the taps for phasors (...) of one frequency, in their unit."""
+@cache
+def _cosines(cycles: tuple[int, ...]) -> NDArray[np.float64]:
+    """(len(cycles), 721) cosines of so many cycles over a period."""
+    return np.cos(np.outer(cycles, np.linspace(0, 2 * np.pi, 721)))
+
+
+def tap_differences(
+    settings: SensorSettings, phasor: Any, frequency_hz: float, parts: Mapping[int, Any] | None = None
+) -> Any:
+    """(..., N) expected differences of the taps for phasors (...) of one frequency, in their unit.
+
+    `parts` replaces `harmonics`: numbers, or arrays (N, 1, 1) for N images (N, H, W) with waves of their own.
+    """
     xp = array_namespace(phasor)
     real = xp.real(phasor).dtype
     steps = xp.asarray(_steps(settings), dtype=real, device=device(phasor))
     size, angle = xp.abs(phasor)[..., None], xp.atan2(xp.imag(phasor), xp.real(phasor))[..., None]
     total = xp.zeros((*phasor.shape, settings.phase_steps), dtype=real, device=device(phasor))
-    for h, part in harmonics(settings, frequency_hz).items():
-        total = total + part * xp.cos(h * (angle - steps))
+    for h, part in (parts or harmonics(settings, frequency_hz)).items():
+        total = total + (part if isinstance(part, float) else part[..., None]) * xp.cos(h * (angle - steps))
     return first_harmonic(settings, frequency_hz) * size * total
 
 
@@ -74,6 +83,24 @@ def phasor_of_differences(settings: SensorSettings, differences: Any, frequency_
     gain = 2 / (settings.phase_steps * first_harmonic(settings, frequency_hz))
     re, im = (xp.sum(differences * wave, axis=-1) for wave in (xp.cos(steps), xp.sin(steps)))
     return gain * (re + 1j * im)
+
+
+def folded(
+    settings: SensorSettings, phasor: Any, frequency_hz: float, parts: Mapping[int, Any] | None = None
+) -> Any:
+    """`phasor_of_differences` of `tap_differences`, from the harmonics that fold into the result.
+
+    N steps see exp(j φ) where a harmonic h has exp(j h φ) and h - 1 is a multiple of N, and exp(-j h φ) where
+    h + 1 is one: a few terms instead of all harmonics of all steps. `parts` is as in `tap_differences`.
+    """
+    xp, steps = array_namespace(phasor), settings.phase_steps
+    size, angle = xp.abs(phasor), xp.atan2(xp.imag(phasor), xp.real(phasor))
+    re, im = xp.zeros_like(size), xp.zeros_like(size)
+    for h, part in (parts or harmonics(settings, frequency_hz)).items():
+        for cycles in (h, -h):
+            if (cycles - 1) % steps == 0:
+                re, im = re + part * xp.cos(cycles * angle), im + part * xp.sin(cycles * angle)
+    return size * (re + 1j * im)
 
 
 def calibrated(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
+from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 from scipy.constants import c as light_speed_m_s
 from scipy.constants import h as planck_j_s
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 
 from itof.pinhole import pixel_rays
 from itof.sensor.settings import SensorSettings
@@ -57,14 +59,60 @@ def falloff(settings: SensorSettings, width: int, height: int) -> NDArray[np.flo
     return np.asarray(cosine**settings.vignetting, dtype=np.float64)
 
 
-def scattered(settings: SensorSettings, image: NDArray[Any]) -> NDArray[Any]:
+def scattered(settings: SensorSettings, image: Any, part: Any = None) -> Any:
     """Phasors (..., H, W, F) after the lens has spread a part of their light over the image.
 
     The spread is a Gaussian; what leaves the image comes back mirrored at its border.
+
+    Parameters
+    ----------
+    image : of numpy or any other library of the array API.
+    part : scalar or (..., 1, 1, 1) array that replaces the `scattering` of the settings.
     """
     if settings.scattering == 0:
         return image
+    xp = array_namespace(image)
     sigma = settings.scattering_width * image.shape[-2]
-    widths = (*(0.0,) * (image.ndim - 3), sigma, sigma, 0.0)
-    spread = gaussian_filter(image, widths, mode="reflect", truncate=3.0)
-    return np.asarray((1 - settings.scattering) * image + settings.scattering * spread)
+    down, across = (
+        xp.asarray(_blur(size, sigma), dtype=image.dtype, device=device(image)) for size in image.shape[-3:-1]
+    )
+    planes = xp.moveaxis(image, -1, -3)  # (..., F, H, W)
+    spread = xp.moveaxis(down @ planes @ xp.matrix_transpose(across), -3, -1)
+    part = settings.scattering if part is None else part
+    return (1 - part) * image + part * spread
+
+
+def leaked(settings: SensorSettings, image: Any) -> Any:
+    """Phasors (..., H, W, F) after every sensor pixel has lost electrons to its four neighbours.
+
+    Within a bin of b x b sensor pixels this changes nothing on average; over each of its sides, 1 / b of the
+    pixels lose a quarter of their `crosstalk` to the next bin. At the border of the sensor, nothing is lost.
+
+    Parameters
+    ----------
+    image : of numpy or any other library of the array API.
+    """
+    if settings.crosstalk == 0:
+        return image
+    xp = array_namespace(image)
+    height, width = image.shape[-3:-1]
+    part = settings.crosstalk / 4 / settings.binning(width, height)
+    down, across = (
+        xp.asarray(part * _neighbours(size), dtype=image.dtype, device=device(image))
+        for size in (height, width)
+    )
+    planes = xp.moveaxis(image, -1, -3)  # (..., F, H, W)
+    return xp.moveaxis(planes + down @ planes + planes @ across, -3, -1)
+
+
+@cache
+def _neighbours(size: int) -> NDArray[np.float64]:
+    """(size, size) matrix of both neighbours' sum less twice a value; the ends are their own neighbours."""
+    both = np.eye(size, k=1) + np.eye(size, k=-1)
+    return both - np.diag(both.sum(axis=0))
+
+
+@cache
+def _blur(size: int, sigma: float) -> NDArray[np.float64]:
+    """(size, size) matrix of a Gaussian of standard deviation `sigma` pixels along an axis."""
+    return np.asarray(gaussian_filter1d(np.eye(size), sigma, axis=0, mode="reflect", truncate=3.0))

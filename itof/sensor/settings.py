@@ -8,10 +8,12 @@ from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 Waveform = Literal["sinusoidal", "square"]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, le=1e12)]
+NotNegative = Annotated[float, Field(ge=0, le=1e12)]
 Part = Annotated[float, Field(ge=0, le=1)]
 PositivePart = Annotated[float, Field(gt=0, le=1)]
+Offset = Annotated[float, Field(ge=-0.5, le=0.5)]
+Strength = Annotated[float, Field(ge=-1, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Pixels = Annotated[int, Field(ge=1, le=2**14)]
 
@@ -45,7 +47,11 @@ class SensorSettings:
         simple lens.
     scattering : part of the light that the lens spreads widely over the image; scattering_width : standard
         deviation of this spread, as a part of the image width.
+    distortion : k1, k2 of the lens (`itof.sensor.geometry`).
+    emitter_offset_m : place of the lamp in camera axes (x right, y down, z forward), from the lens, metres.
+    motion_m_s : speed of the camera along its axis, towards the wall, metres per second.
     pixel_pitch_um, fill_factor, quantum_efficiency : of a sensor pixel; electrons per photon on its area.
+    crosstalk : part of the electrons of a sensor pixel that its four neighbours collect.
     full_well_e : electrons that a tap holds.
     shot_noise : whether electrons arrive one by one.
     read_noise_e : standard deviation per tap and read-out, electrons.
@@ -87,9 +93,13 @@ class SensorSettings:
     vignetting: NotNegative = 0.0
     scattering: Annotated[float, Field(ge=0, lt=1)] = 0.0
     scattering_width: Positive = 0.2
+    distortion: tuple[Strength, Strength] = (0.0, 0.0)
+    emitter_offset_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    motion_m_s: Annotated[float, Field(ge=-10, le=10)] = 0.0
     pixel_pitch_um: Positive = 10.0
     fill_factor: PositivePart = 1.0
     quantum_efficiency: PositivePart = 1.0
+    crosstalk: Part = 0.0
     full_well_e: Positive | None = None
     read_noise_e: NotNegative = 0.0
     shot_noise: bool = False
@@ -102,7 +112,7 @@ class SensorSettings:
     emitter_waveform: Waveform = "sinusoidal"
     reference_waveform: Waveform = "sinusoidal"
     emitter_duty: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    rise_time_s: NotNegative = 0.0
+    rise_time_s: Annotated[float, Field(ge=0, le=1e-6)] = 0.0
     highest_harmonic: Annotated[int, Field(ge=1, le=99)] = 9
     wiggling_left: Part = 1.0
     phase_steps: Annotated[int, Field(ge=3, le=64)] = 4
@@ -111,7 +121,7 @@ class SensorSettings:
     adc_bits: Annotated[int, Field(ge=1, le=24)] | None = None
     adc_e_per_dn: Positive | None = None
     adc_offset_dn: NotNegative = 0.0
-    integration_s: Positive = 1e-3
+    integration_s: Annotated[float, Field(gt=0, le=1e3)] = 1e-3
     frames: Count = 1
 
     def __post_init__(self) -> None:

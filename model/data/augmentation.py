@@ -111,6 +111,9 @@ class Draws:
         return Draws(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
+KINDS = ("flip_rows", "flip_columns", "rotation", "shift", "channel_noise")  # the paper's changes
+
+
 @dataclass(frozen=True)
 class Augmentation:
     """Random changes of training images; the defaults change nothing.
@@ -135,9 +138,11 @@ class Augmentation:
         unit. In the paper's channels, 1 is about 500 times the hidden light of a pixel; in the residual
         channels, which have unit variance, it is as much as the hidden light (docs/training.md).
     channel_noise_fraction : probability with which an image gets the noise of the channels.
+    change_fraction : if it is not 0, an image gets at most one change of `KINDS`, each with this probability;
+        `channel_noise_fraction` is then 1. With 0, changes are independent, and an image may get several.
 
-    Source: Caligiuri et al. 2024, sec. 4.2 (flips, rotation, translation, and noise with deviation 1); noise
-    on the channels, and on a part of the images, as in the released code.
+    Source: Caligiuri et al. 2024, sec. 4.2 (flips, rotation, translation, and noise with deviation 1). That
+    the noise is on the channels, and that each change is made to images of its own, is the released code's.
     """
 
     flip_rows: bool = False
@@ -149,6 +154,7 @@ class Augmentation:
     noise_sigma: float = 0.0
     channel_noise_sigma: float = 0.0
     channel_noise_fraction: float = 1.0
+    change_fraction: float = 0.0
 
     @classmethod
     def of(cls, settings: TrainSettings) -> Augmentation:
@@ -157,12 +163,24 @@ class Augmentation:
 
     def warp(self, draws: Draws) -> Warp:
         """The geometric transform of each image."""
+        flip_rows, flip_columns = draws.coins[:, 0], draws.coins[:, 1]
+        turn, shift = draws.turn, draws.shift
+        if self.change_fraction:
+            kinds = self._kinds(draws)
+            flip_rows, flip_columns = kinds == KINDS.index("flip_rows"), kinds == KINDS.index("flip_columns")
+            turn = turn * (kinds == KINDS.index("rotation"))
+            shift = shift * (kinds == KINDS.index("shift"))[:, None]
         return Warp(
-            flip_rows=draws.coins[:, 0] & self.flip_rows,
-            flip_columns=draws.coins[:, 1] & self.flip_columns,
-            angle_rad=draws.turn * (self.rotation_deg * pi / 180),
-            shift=draws.shift * self.translation,
+            flip_rows=flip_rows & self.flip_rows,
+            flip_columns=flip_columns & self.flip_columns,
+            angle_rad=turn * (self.rotation_deg * pi / 180),
+            shift=shift * self.translation,
         )
+
+    def _kinds(self, draws: Draws) -> Tensor:
+        """(N,) place in `KINDS` of the one change of each image; len(KINDS) or more for none."""
+        shares = torch.tensor([_share(int(seed), 4) for seed in draws.noise_seed], dtype=torch.float64)
+        return (shares / self.change_fraction).floor().long()
 
     def darkened(self, phasor: Tensor, reference: Tensor | None, draws: Draws) -> Tensor:
         """(N, H, W, F) phasors with the hidden light of darker objects.
@@ -170,9 +188,9 @@ class Augmentation:
         The direct light is `reference` (N, H, W, F) with the amplitude of `phasor`. The real part of the
         hidden light at the first frequency is in that amplitude and stays; no channel depends on it.
         """
-        if self.least_reflectance == 1 or reference is None:
+        if reference is None:
             return phasor
-        shares = [_share(int(seed)) for seed in draws.noise_seed]
+        shares = [_share(int(seed), 2) for seed in draws.noise_seed]
         part = torch.tensor(shares, device=phasor.device) * (1 - self.least_reflectance)
         bright = quotient(torch, phasor[..., :1].abs(), reference[..., :1].abs())
         return phasor - part[:, None, None, None] * (phasor - reference * bright)
@@ -191,22 +209,32 @@ class Augmentation:
         """(N, C, H, W) input channels, with noise on the images that get it."""
         if not (self.channel_noise_sigma > 0 and self.channel_noise_fraction > 0):
             return channels
+        fractions = [self.channel_noise_fraction] * len(draws.noise_seed)
+        if self.change_fraction > 0:
+            fractions = (self._kinds(draws) == KINDS.index("channel_noise")).double().tolist()
         noise = [
-            _channel_noise(channels[0], int(seed), self.channel_noise_fraction) for seed in draws.noise_seed
+            _channel_noise(channels[0], int(seed), fraction)
+            for seed, fraction in zip(draws.noise_seed, fractions, strict=True)
         ]
         return channels + self.channel_noise_sigma * torch.stack(noise)
 
     def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
-        """The batch of `rows`, each row changed by its draws."""
-        direct = None if rows.reference is None else maker.inputs.parted(rows.reference)[0]
-        phasor = self.darkened(maker.measured(rows), direct, draws)
-        batch = self.warp(draws)(maker.batch(rows, self.measured(phasor, draws)))
+        """The batch of `rows`, each row changed by its draws, then measured by the camera of `maker`."""
+        phasor = maker.measured(rows)
+        if self.least_reflectance < 1:
+            known = rows.reference if rows.reference is not None else maker.reference(phasor)
+            direct = None if known is None else maker.inputs.parted(known)[0]
+            phasor = self.darkened(phasor, direct, draws)
+        phasor = self.measured(phasor, draws)
+        if maker.camera is not None:
+            phasor = maker.camera(phasor, draws.noise_seed.tolist())
+        batch = self.warp(draws)(maker.batch(rows, phasor))
         return replace(batch, channels=self.seen(batch.channels, draws))
 
 
-def _share(seed: int) -> float:
-    """A number in [0, 1); its stream is another than those of the noise with the same seed."""
-    return float(np.random.default_rng(np.random.SeedSequence((seed, 2))).random())
+def _share(seed: int, stream: int) -> float:
+    """A number in [0, 1); streams 2 and 4 are others than those of the noise and of the camera (1 and 3)."""
+    return float(np.random.default_rng(np.random.SeedSequence((seed, stream))).random())
 
 
 def _noise(like: Tensor, seed: int) -> Tensor:

@@ -10,8 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from itof.sensor.binned import BinnedCamera
+from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
+from model.data.sensor_draws import SensorDraws
 from model.network.channels import InputSpec
 
 _IMAGES_AT_ONCE: Final = 16  # a self-calibration needs many times the memory of its phasors
@@ -44,11 +47,13 @@ class BatchMaker:
     inputs : input channels and their constants.
     places : indices of the network's frequencies in those of the shards.
     wall : the relay wall at the network's frequencies, with its direct return in complex64.
+    camera : measures the images; None if the network sees them as rendered.
     """
 
     inputs: InputSpec
     places: tuple[int, ...]
     wall: ExpectedWall
+    camera: SensorDraws | None = None
 
     @classmethod
     def for_shards(
@@ -57,25 +62,59 @@ class BatchMaker:
         frequencies_hz: Sequence[float],
         wall: ExpectedWall,
         device: torch.device,
+        sensor: SensorSettings | None = None,
+        *,
+        sensor_capture: bool = False,
     ) -> BatchMaker:
-        """The maker for shards with these frequencies, Hz, that show this wall (numpy arrays)."""
+        """The maker for shards with these frequencies, Hz, that show this wall (numpy arrays).
+
+        Raises
+        ------
+        ValueError : the images are no binned images of the sensor.
+        """
         places = tuple(inputs.places(frequencies_hz))
         seen = wall.at(places)
         seen = replace(seen, direct=seen.direct.astype(np.complex64))
-        return cls(inputs, places, seen.converted(lambda array: torch.from_numpy(array).to(device)))
+        here = seen.converted(lambda array: torch.from_numpy(array).to(device))
+        if sensor is None:
+            return cls(inputs, places, here)
+        height, width = seen.direct.shape[:2]
+        camera = BinnedCamera(sensor, inputs.frequencies_hz, width, height)
+        return cls(inputs, places, here, SensorDraws(camera, here.direct if sensor_capture else None))
 
     def upload(self, block: RowBlock) -> RowBlock:
         """A copy of `block` on the device, as tensors, with the reference of every image.
 
-        Its phasors are those of the network's frequencies. The reference is that of the phasors as rendered:
-        it takes longer than a training step, and noise of the augmentation would hardly change it.
+        Its phasors are those of the network's frequencies, as rendered, or as the camera measures them; the
+        number of a row then decides its noise.
         """
+        rows = self._on_device(block)
+        if self.camera is not None:
+            parts = [self._measured_by(self.camera, rows, start) for start in _starts(rows)]
+            rows = replace(rows, phasors=torch.cat(parts))
+        return replace(rows, reference=self._references(rows)) if self.inputs.uses_residual else rows
+
+    def upload_to_augment(self, block: RowBlock) -> RowBlock:
+        """A copy of `block` on the device, as tensors, with phasors as rendered.
+
+        Without a camera it has the reference of every image: that of the phasors as rendered, because it
+        takes longer than a training step, and noise of the augmentation would hardly change it. With a
+        camera, each measurement has its own, which `batch` finds.
+        """
+        return self.upload(block) if self.camera is None else self._on_device(block)
+
+    def _on_device(self, block: RowBlock) -> RowBlock:
         count = block.phasors.shape[1] // 2
         chosen = [first + place for first in (0, count) for place in self.places]
         arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": block.phasors[:, chosen]}
         device = self.wall.rays.device
-        rows = RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
-        return replace(rows, reference=self._references(rows)) if self.inputs.uses_residual else rows
+        return RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
+
+    def _measured_by(self, camera: SensorDraws, rows: RowBlock, start: int) -> Tensor:
+        """(n, 2F, H, W) phasors of some rows as the camera measures them."""
+        some = slice(start, start + _IMAGES_AT_ONCE)
+        phasor = camera(self.measured(replace(rows, phasors=rows.phasors[some])), rows.rows[some])
+        return torch.cat([phasor.real, phasor.imag], dim=-1).movedim(-1, 1).contiguous()
 
     @property
     def reference_bytes(self) -> int:
@@ -87,10 +126,17 @@ class BatchMaker:
         """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
         shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
-        for start in range(0, len(rows), _IMAGES_AT_ONCE):
+        for start in _starts(rows):
             some = slice(start, start + _IMAGES_AT_ONCE)
             measured = self.measured(replace(rows, phasors=rows.phasors[some]))
             found[some] = self.inputs.reference_of_image(measured, self.wall)
+        return found
+
+    def reference(self, phasor: Tensor) -> Tensor | None:
+        """The reference of phasors (N, H, W, F); None if the network needs none."""
+        if not self.inputs.uses_residual:
+            return None
+        found: Tensor = self.inputs.reference_of_image(phasor, self.wall)
         return found
 
     def measured(self, rows: RowBlock) -> Tensor:
@@ -107,12 +153,15 @@ class BatchMaker:
         phasor : (N, H, W, F) complex; replaces the phasors of `rows` if it is given.
         """
         measured = self.measured(rows) if phasor is None else phasor
-        known = rows.reference
-        if known is None and self.inputs.uses_residual:
-            known = self.inputs.reference_of_image(measured, self.wall)
+        known = self.reference(measured) if rows.reference is None else rows.reference
         return Batch(
             channels=self.inputs.apply(measured, known, is_weighted=True),
             target=rows.target,
             radial_depth_m=rows.radial_depth_m,
             mask=rows.mask.float(),
         )
+
+
+def _starts(rows: RowBlock) -> range:
+    """Numbers of the first images of the parts that are computed at once."""
+    return range(0, len(rows), _IMAGES_AT_ONCE)

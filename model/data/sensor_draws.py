@@ -1,0 +1,75 @@
+"""A camera between scene and network in the training: each image is measured by one of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from itof.sensor.binned import BinnedCamera
+from itof.sensor.settings import SensorSettings
+from itof.sensor.specimen import specimen
+from itof.weighted_reference import quotient
+
+_STREAM = 3  # of a seed's random numbers, apart from those of the other augmentations
+
+
+@dataclass(frozen=True)
+class SensorDraws:
+    """Measures each image with another camera of the type of the settings.
+
+    Each image has its own noise and drift of the phases, and its own `itof.sensor.specimen.specimen`: its
+    contrast, rise time, duty cycle, scattering, and part of the wiggling that the calibration leaves. The
+    rest, such as the falloff of the lens, is that of the settings.
+
+    With the direct return of the wall, the images are divided by what the camera makes of the empty corner,
+    as a prediction with a capture of it does. The capture has no noise: it can be averaged for long.
+
+    Attributes
+    ----------
+    camera : with the settings' imperfections, which are the largest.
+    empty : (H, W, F) complex64 direct return of the wall, on the device of the images; None for no capture.
+    """
+
+    camera: BinnedCamera
+    empty: Tensor | None = None
+
+    def __call__(self, phasor: Tensor, seeds: Sequence[int]) -> Tensor:
+        """(N, H, W, F) complex64 phasors as cameras measure them; the N seeds decide everything."""
+        settings = self.camera.settings
+        drawn = [_Drawn.of(seed, settings, phasor.shape[-1]) for seed in seeds]
+        cameras = [each.camera for each in drawn]
+        drift = torch.tensor(np.array([each.drift_rad for each in drawn]), dtype=torch.float32)
+        drift = drift.to(phasor.device)[:, None, None]
+        seen: Tensor = self.camera.mean(phasor * torch.polar(torch.ones_like(drift), drift), cameras)
+        noise = torch.stack([each.noise(phasor[0]) for each in drawn])
+        seen = seen + self.camera.spread(phasor) * noise
+        if self.empty is None:
+            return seen
+        corner = self.empty * quotient(torch, phasor[..., :1].abs(), self.empty[..., :1].abs())
+        return seen * quotient(torch, corner, self.camera.mean(corner, cameras))
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """The camera of an image, and what its state and noise are."""
+
+    camera: SensorSettings
+    drift_rad: NDArray[np.float64]  # (F,)
+    noise_seed: int
+
+    @classmethod
+    def of(cls, seed: int, settings: SensorSettings, frequencies: int) -> _Drawn:
+        """What a seed decides; more frequencies change nothing of the rest."""
+        rng = np.random.default_rng(np.random.SeedSequence((seed, _STREAM)))
+        noise_seed, camera = int(rng.integers(2**62)), specimen(settings, rng)
+        return cls(camera, settings.phase_drift_rad * rng.standard_normal(frequencies), noise_seed)
+
+    def noise(self, like: Tensor) -> Tensor:
+        """Complex Gaussian noise with variance 1 in each component, on the device of `like`."""
+        generator = torch.Generator(like.device).manual_seed(self.noise_seed)
+        return torch.view_as_complex(torch.randn(*like.shape, 2, generator=generator, device=like.device))
