@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from commandline.captures import capture
 from commandline.confirmation import YES, confirm_deletion
 from commandline.dataset_export import export_dataset
 from commandline.endings import DefaultGroup, NightGroup
@@ -247,11 +248,14 @@ def night_eval() -> None:
     night-eval refine RUN DATASET --out DIR   find the solid that explains each measurement
     night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
     night-eval export RUN --out MODEL.onnx    the network as an ONNX file
+    night-eval capture import INPUT ...       measurements of the raw frames of a camera
+    night-eval compact RUN --out DIR          the run at half its size, to publish
     """  # noqa: D301
 
 
 night_eval.add_command(judge)
 night_eval.add_command(refine)
+night_eval.add_command(capture)
 
 
 @night_eval.command(short_help="Depth maps of your own measurements.")
@@ -293,3 +297,19 @@ def export(run: Path, out: Path, as_json: bool) -> None:
 
     check = model.export_onnx(run, out)
     tell([check.sentence(out)], {"file": str(out), **asdict(check)}, as_json)
+
+
+@night_eval.command("compact", short_help="The run at half its size, to publish.")
+@click.argument("run", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
+@JSON
+def compact_run(run: Path, out: Path, as_json: bool) -> None:
+    """Write RUN with weights of 16 bits and without its checkpoint, to be published or kept.
+
+    Predictions, evaluations and `night-train --from` take it as any run; `--resume` would begin again.
+    """
+    import model
+
+    made = model.compact(run, out)
+    size = sum(file.stat().st_size for file in made.iterdir())
+    tell([f"{out}: {size / 1e6:.1f} MB"], {"run": str(out), "bytes": size}, as_json)

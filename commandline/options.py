@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, ge
 
 import click
 
+from itof.sensor.settings import SensorSettings
+from model.sensors import load_sensor
 from model.settings import training_fields
 from scenegen import Dataset, Preset, open_dataset, preset_from_dict, read_settings
 from scenegen.preset import MOST_BOUNCES
@@ -82,6 +84,28 @@ class Pixel(click.ParamType):
         return int(match[1]), int(match[2])
 
 
+class Counts(click.ParamType):
+    """``1,10,100``: whole numbers from 1 on."""
+
+    name = "N,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The numbers in ascending order, each once."""
+        if not re.fullmatch(r"[0-9]{1,6}(,[0-9]{1,6})*", value) or 0 in map(int, value.split(",")):
+            self.fail(f"{value!r} is no list of whole numbers from 1 on; write it like 1,10,100", param, ctx)
+        return tuple(sorted({int(number) for number in value.split(",")}))
+
+
+class Sensor(click.ParamType):
+    """``mlx75027`` or ``mine.toml``: a camera of data/sensors, or a file that describes one."""
+
+    name = "CAMERA"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Its settings."""
+        return load_sensor(value)
+
+
 def options(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
     """Several options as one decorator, in their order."""
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
@@ -94,6 +118,8 @@ def _option_type(field: FieldInfo) -> click.ParamType:
     if field.annotation is bool:
         return click.BOOL
     number, *metadata = _number_of(field)
+    if number is SensorSettings:
+        return Sensor()
     if number not in (int, float):
         return Megahertz()
     names = ("ge", "gt", "le", "lt")

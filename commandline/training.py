@@ -69,6 +69,8 @@ def _chosen_settings(
     named = preset or (None if resume else "default")
     data, origin = model.training_preset(named) if named else ({}, "options")
     given = {name: value for name, value in options.items() if value is not None}
+    if "sensor" in given:
+        given["sensor"] = asdict(given["sensor"])
     inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
     without = before | data | inherited
     try:

@@ -31,6 +31,14 @@ def edited_attributes(dataset: Dataset, scene_id: str, digest: str) -> dict[str,
     return {SCENE_FILES: "edited" if dataset.entry(scene_id).sha256 else "unknown"}
 
 
+def refuse_measured(dataset: Dataset) -> None:
+    """`RenderError` for a dataset of captures: a render would take the place of what a camera measured."""
+    if dataset.is_measured:
+        raise RenderError(
+            f"{dataset.root} holds captures of a camera: there is nothing to render, train on it as it is"
+        )
+
+
 def refuse_edited(dataset: Dataset, scenes: Sequence[str]) -> None:
     """Refuse to render `scenes`, all of which are edited, if there are any.
 

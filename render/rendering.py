@@ -21,7 +21,7 @@ from itof import (
     write_image,
 )
 from render.backend import drjit_threads, select_variant
-from render.edited_scenes import edited_attributes, is_edited, refuse_edited
+from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured
 from render.settings import RenderError, RenderSettings
 from render.transport.lights.hidden_surface import HiddenSurfaceError
 from render.transport.method import Exposure, View
@@ -134,6 +134,7 @@ class Renderer:
         return record
 
     def _read(self, scene_id: str) -> _Source:
+        refuse_measured(self.dataset)
         folder = self.dataset.scene_folder(scene_id)
         files = read_scene_folder(folder)
         digest = digest_of(files)

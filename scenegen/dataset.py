@@ -32,6 +32,7 @@ from scenegen.scene_folder import SCENE_FILE, digest_of, scene_of
 
 DATASET_SCHEMAS = (1, 2, 3, 4)  # readable; the newest is written
 _DIGESTS_SINCE = 4
+MEASURED_GENERATOR = "night-eval capture pairs"  # of datasets whose measurements are those of a camera
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
 
@@ -99,6 +100,11 @@ class Dataset:
     def preset(self) -> Preset:
         """All settings of the dataset, as resolved when it was made."""
         return self.index.preset
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether its images are captures of a camera, and its scenes only describe them."""
+        return self.index.generator == MEASURED_GENERATOR
 
     @property
     def rendering(self) -> RenderingRecord | None:

@@ -41,9 +41,18 @@ HIDDEN_FRACTION = 2e-3  # docs/design.md, Hidden signal is small
 
 
 def write_synthetic_dataset(
-    root: Path, *, count: int = 12, width: int = 24, height: int = 14, **preset: dict[str, object]
+    root: Path,
+    *,
+    count: int = 12,
+    width: int = 24,
+    height: int = 14,
+    parts: bool = True,
+    **preset: dict[str, object],
 ) -> Dataset:
-    """Scenes and their renders under `root`; `preset` tables replace the defaults."""
+    """Scenes and their renders under `root`; `preset` tables replace the defaults.
+
+    With `parts`, measurements have direct and hidden light apart, as those of night-render.
+    """
     tables = {
         "dataset": {"count": count, "test_fraction": 0.25, "validation_fraction": 0.25},
         "camera": {"width": width, "height": height},
@@ -57,27 +66,34 @@ def write_synthetic_dataset(
     write_index(root, build_index(resolved, entries, "none"))
     dataset = open_dataset(root)
     for scene in scenes:
-        write_synthetic_render(dataset, scene, width, height)
+        write_synthetic_render(dataset, scene, width, height, parts=parts)
     return dataset
 
 
-def write_synthetic_render(dataset: Dataset, scene: Scene, width: int, height: int) -> None:
+def write_synthetic_render(
+    dataset: Dataset, scene: Scene, width: int, height: int, *, parts: bool = True
+) -> None:
     """``itof.exr`` and ``mirrored.exr`` of one scene."""
     frequencies_hz = dataset.preset.itof.frequencies_hz
-    phasor, radial_depth_m = closed_form(scene, frequencies_hz, width, height)
+    phasor, radial_depth_m, direct = closed_form(scene, frequencies_hz, width, height)
     mask = (radial_depth_m > 0).astype(np.float32)
     mirrored = mask * phasor_of_return(radial_depth_m, frequencies_hz[0])
     folder = dataset.render_folder(scene.id)
     folder.mkdir(parents=True, exist_ok=True)
-    write_image(folder / "itof.exr", phasor_channels(phasor, frequencies_hz), {})
+    images = {"itof": phasor} | ({"direct": direct, "hidden": phasor - direct} if parts else {})
+    channels = [phasor_channels(image, frequencies_hz, name) for name, image in images.items()]
+    write_image(folder / "itof.exr", {name: values for each in channels for name, values in each.items()}, {})
     truth = {"depth.R": radial_depth_m, "mask.M": mask}
     write_image(folder / "mirrored.exr", truth | phasor_channels(mirrored[..., None], frequencies_hz[:1]), {})
 
 
 def closed_form(
     scene: Scene, frequencies_hz: tuple[float, ...], width: int, height: int
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Phasors (H, W, F) and radial depth (H, W, 0 on background) of the scene's first object as a point."""
+) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.complex128]]:
+    """Phasors (H, W, F), radial depth (H, W, 0 on background) and direct return (H, W, F).
+
+    The scene's first object is a point.
+    """
     camera, wall = scene.camera, scene.relay_wall
     axes, origin = camera_axes(camera), np.array(camera.location_m)
     normal, point = wall_normal(wall), np.array(wall.location_m)
@@ -99,7 +115,7 @@ def closed_form(
     distance_m = np.linalg.norm(towards)
     radius_m = DISC_RADIUS_M
     on_disc = rays @ (towards / distance_m) > distance_m / np.hypot(distance_m, radius_m)
-    return phasor, np.where(on_disc, distance_m, 0.0)
+    return phasor, np.where(on_disc, distance_m, 0.0), direct
 
 
 def edit_image(path, **changes) -> None:

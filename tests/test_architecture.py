@@ -53,16 +53,19 @@ WINGS = {
     "render.products": {"render.farm.claims", "render.settings", "render.options", "render.byte_size"},
     "render.mirror_panels": {"render.transport", "render.products", "render.settings", "render.backend"},
     "model": set(),
-    "model.settings": set(),
+    "model.settings": {"model.sensors"},
     "model.device": {"model.settings"},
     "model.sensors": set(),
     "model.network": {"model.settings"},
     "model.run_folder": {"model.network", "model.settings"},
     "model.data": {"model.network", "model.settings"},
     "model.training": {
-        *("model.data", "model.network", "model.run_folder", "model.device", "model.settings")
+        *("model.data", "model.network", "model.run_folder", "model.device", "model.settings"),
+        "model.sensors",
     },
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
+    "model.capture": {"model.prediction"},
+    "model.mirror": {"model.capture", "model.network", "model.prediction"},
     "model.refinement": {"model.network"},
     "model.report": {
         *(
@@ -74,6 +77,10 @@ WINGS = {
             "model.device",
         ),
         "model.settings",
+    },
+    "model.exposures": {
+        *("model.report", "model.prediction", "model.data", "model.network", "model.run_folder"),
+        *("model.sensors", "model.settings"),
     },
     "commandline": set(),
     "cli": set(),
@@ -95,7 +102,7 @@ HOME = {
     "h5py": (
         *("render/products/patient_file.py", "render/products/tal_export.py"),
         *("render/products/export_rows.py", "model/prediction/hdf5_reading.py"),
-        "render/products/zarr_copy.py",
+        *("render/products/zarr_copy.py", "model/capture/measurement_writing.py"),
     ),
     "zarr": "render/products/zarr_copy.py",
     "numcodecs": "render/products/zarr_copy.py",
@@ -173,10 +180,16 @@ def test_scenes_are_made_by_the_commands_alone():
 @pytest.mark.parametrize(
     ("module", "machinery"),
     [
-        ("model.settings", ("model.",)),
+        (
+            "model.settings",
+            ("model.data", "model.device", "model.network", "model.prediction", "model.training"),
+        ),
+        ("model.sensors", ("model.",)),
         ("model.prediction.predictor", ("model.data", "model.training", "model.report")),
         ("model.prediction.prediction_files", ("model.data", "model.training", "model.report")),
         ("model.prediction.onnx_export", ("model.data", "model.training", "model.report")),
+        ("model.capture.checking", ("model.network", "model.data", "model.training", "model.run_folder")),
+        ("model.capture.sidecar", ("model.prediction", "model.network", "itof")),
         ("render.settings", ("render.transport", "render.rendering", "render.farm", "render.products")),
         ("render.farm.plan", ("render.transport", "render.rendering", "render.products")),
     ],

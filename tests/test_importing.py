@@ -51,11 +51,17 @@ def test_importing_does_nothing_but_import(room, tmp_path):
 def test_settings_and_plans_load_no_machinery(tmp_path):
     modules = loaded_by("import cli, model.settings, render.settings", tmp_path)
     assert modules & HEAVY == set()
-    assert of("model", modules) == {"model", "model.settings"}
+    settings = {"model", "model.settings", "model.sensors", "model.refinement", "model.refinement.settings"}
+    assert of("model", modules) == settings
     assert of("render", modules) == {"render", "render.settings", "render.options", "render.backend"}
     plan = loaded_by("import render.farm.plan", tmp_path)
     assert plan & HEAVY == set()
     assert of("render", plan) & {"render.transport", "render.rendering", "render.products"} == set()
+
+
+def test_a_capture_is_checked_without_a_network_a_file_library_or_pictures(tmp_path):
+    modules = loaded_by("import model.capture.checking, model.capture.importing", tmp_path)
+    assert modules & {*HEAVY, "h5py", "matplotlib", "scipy.io"} == set()
 
 
 @pytest.mark.long

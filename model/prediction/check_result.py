@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from itof.wall.finding import length
+from itof.wall.finding import Finding, length
 from itof.wall.wall_fit import WallFit
 
 
@@ -69,6 +70,17 @@ class FileFinding:
     sentence: str
     refused: bool
     images: tuple[str, ...]
+
+
+def joined(found: Iterable[tuple[Finding, str | None]]) -> tuple[FileFinding, ...]:
+    """Findings of the same kind as one; their numbers differ from image to image."""
+    joined: dict[tuple[str, bool, bool], FileFinding] = {}
+    for finding, name in found:
+        kind = (finding.code, finding.refused, name is None)
+        before = joined.get(kind, FileFinding(finding.code, finding.sentence, finding.refused, ()))
+        images = before.images if name is None else (*before.images, name)
+        joined[kind] = FileFinding(before.code, before.sentence, before.refused, images)
+    return tuple(joined.values())
 
 
 @dataclass(frozen=True)

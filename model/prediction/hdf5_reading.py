@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from model.prediction.array_claims import RefusedError, check_claim
+from model.prediction.array_claims import Claims, RefusedError, check_claim
 
 _MOST_NAMES = 1000  # that are listed
 _LAYOUTS: Final = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
@@ -38,7 +38,9 @@ def read_hdf5(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[An
     try:
         with h5py.File(path, "r") as file:
             names = list(itertools.islice(file, _MOST_NAMES))
-            found = {name: _read(path, name, file) for name in wanted if _is_data_set(path, name, file)}
+            claims = Claims(path)
+            here = [name for name in dict.fromkeys(wanted) if _is_data_set(path, name, file)]
+            found = {name: _read(claims, name, file) for name in here}
     except RefusedError:
         raise
     except _ERRORS as error:
@@ -48,20 +50,23 @@ def read_hdf5(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[An
 
 
 def _is_data_set(path: Path, name: str, file: h5py.File) -> bool:
-    """Whether there is a data set of this name; a link to one is refused."""
-    try:
-        link = file.get(name, getlink=True)
-    except TypeError:  # a class of link that some program has added to HDF5
-        link = None
-    if link is None and name not in file:
-        return False
-    if not isinstance(link, h5py.HardLink):
-        raise _elsewhere(path, name, "is a link")
+    """Whether there is a data set of this name; a link to one, or to a group that holds it, is refused."""
+    place = ""
+    for part in name.split("/"):
+        place = f"{place}/{part}" if place else part
+        try:
+            link = file.get(place, getlink=True)
+        except TypeError:  # a class of link that some program has added to HDF5
+            link = None
+        if link is None and place not in file:
+            return False
+        if not isinstance(link, h5py.HardLink):
+            raise _elsewhere(path, place, "is a link")
     return isinstance(file[name], h5py.Dataset)
 
 
-def _read(path: Path, name: str, file: h5py.File) -> NDArray[Any]:
-    data = file[name]
+def _read(claims: Claims, name: str, file: h5py.File) -> NDArray[Any]:
+    path, data = claims.path, file[name]
     plan = data.id.get_create_plist()
     if data.is_virtual or plan.get_layout() not in _LAYOUTS:
         raise _elsewhere(path, name, "is a virtual data set")
@@ -78,14 +83,26 @@ def _read(path: Path, name: str, file: h5py.File) -> NDArray[Any]:
         raise RefusedError(
             f"{path}: {name} must be numbers, got references, text, lists or named values of HDF5"
         )
-    size = path.stat().st_size
-    check_claim(path, name, data.dtype, data.shape, min(data.id.get_storage_size(), size))
+    size, kind = path.stat().st_size, data.dtype
+    parts = _parts_of_complex(kind)
+    dtype = kind if parts is None else np.dtype(f"c{parts.itemsize}")
+    claims.add(name, dtype, data.shape, min(data.id.get_storage_size(), size))
     if data.chunks:  # HDF5 unpacks a chunk as a whole
-        check_claim(path, f"a chunk of {name}", np.dtype(data.dtype), data.chunks, size)
-    values = np.empty(data.shape, data.dtype)
+        check_claim(path, f"a chunk of {name}", dtype, data.chunks, size)
+    values = np.empty(data.shape, kind if parts is None else parts)
     if math.prod(data.shape):
         data.read_direct(values)
-    return values
+    return values if parts is None else values.view(dtype)
+
+
+def _parts_of_complex(kind: np.dtype[Any]) -> np.dtype[Any] | None:
+    """How real and imaginary part of MATLAB's complex numbers lie beside each other; None for others."""
+    if kind.names != ("real", "imag"):
+        return None
+    real, imaginary = kind["real"], kind["imag"]
+    if real != imaginary or real.kind != "f" or real.itemsize not in (4, 8):
+        return None
+    return np.dtype([(name, f"f{real.itemsize}") for name in kind.names])
 
 
 def _elsewhere(path: Path, name: str, how: str) -> RefusedError:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +13,7 @@ import numpy as np
 from itof import amplitude
 from itof.wall.finding import Finding
 from itof.wall.plausibility import check_measurement, check_reference
-from model.prediction.check_result import FileFinding, MeasurementCheck, WallFound
+from model.prediction.check_result import MeasurementCheck, WallFound, joined
 from model.prediction.measurement_files import Measurement, MeasurementError, read_measurement
 from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
 from model.settings import DeviceName
@@ -96,7 +95,7 @@ def check_measured(
             found += [(finding, name) for finding in findings]
             useless += any(finding.refused for finding in findings)
             bar.update()
-    return MeasurementCheck(_joined(found), tuple(walls), measured.reference is not None, measured.ignored)
+    return MeasurementCheck(joined(found), tuple(walls), measured.reference is not None, measured.ignored)
 
 
 def _unit(predictor: Predictor, measured: Measurement, index: int) -> list[Finding]:
@@ -110,14 +109,3 @@ def _unit(predictor: Predictor, measured: Measurement, index: int) -> list[Findi
         return []
     words = f"the mean amplitude is {times:.2g} times that of the training scenes: use --rescale?"
     return [Finding("other-unit", words, False)]
-
-
-def _joined(found: Iterable[tuple[Finding, str | None]]) -> tuple[FileFinding, ...]:
-    """Findings of the same kind as one; their numbers differ from image to image."""
-    joined: dict[tuple[str, bool, bool], FileFinding] = {}
-    for finding, name in found:
-        kind = (finding.code, finding.refused, name is None)
-        before = joined.get(kind, FileFinding(finding.code, finding.sentence, finding.refused, ()))
-        images = before.images if name is None else (*before.images, name)
-        joined[kind] = FileFinding(before.code, before.sentence, before.refused, images)
-    return tuple(joined.values())

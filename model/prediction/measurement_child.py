@@ -22,23 +22,25 @@ from itof.exr import read_image
 from itof.exr_header import ImageFileError
 from itof.machine_memory import machine_bytes
 from model.prediction.array_claims import ARRAYS, RefusedError
+from model.prediction.mat_reading import is_hdf5, read_mat
 from model.prediction.npz_reading import read_npz
 
 Contents = tuple[dict[str, NDArray[Any]], list[str]]
 _CPU_SECONDS = (
     60  # for any file, and one more for every megabyte: reading an honest file takes a tenth of that
 )
+_WRITE_AGAIN = "write it again with the program that made it"
 _OUR_CHANNELS: Final = ("itof.", "direct.", "hidden.")  # of the images that night-render writes
 
 
 def main() -> None:
-    """Read the file that the first argument names and write its contents to the standard output."""
-    path = Path(sys.argv[1])
+    """Write the arrays that the other arguments name, of the file that the first one names, to stdout."""
+    path, wanted = Path(sys.argv[1]), tuple(sys.argv[2:])
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not get between the arrays
     try:
         _limit_itself(path)
-        found, names = read_arrays(path)
+        found, names = read_arrays(path, wanted)
     except RefusedError as error:
         _send(out, {"refusal": str(error)})
     else:
@@ -65,15 +67,15 @@ def _lower(limit: int, value: int) -> None:
         resource.setrlimit(limit, (value, hard))
 
 
-def read_arrays(path: Path) -> Contents:
-    """The arrays of a measurement file, and the names of all that it has.
+def read_arrays(path: Path, wanted: tuple[str, ...] = ARRAYS) -> Contents:
+    """The arrays among `wanted` that a measurement file has, and the names of all that it has.
 
     Raises
     ------
     RefusedError : the file cannot be read, whatever happens; the message is one sentence that names it.
     """
     try:
-        return _read(path)
+        return _read(path, wanted)
     except RefusedError:
         raise
     except ImageFileError as error:
@@ -87,18 +89,21 @@ def read_arrays(path: Path) -> Contents:
         raise RefusedError(f"{path} cannot be read: it is damaged ({reason}); write it again") from None
 
 
-def _read(path: Path) -> Contents:
-    if path.suffix.lower() == ".exr":
-        return _read_exr(path)
-    if path.suffix.lower() == ".npz":
-        return read_npz(path, ARRAYS)
+def _read(path: Path, wanted: tuple[str, ...]) -> Contents:
+    ending = path.suffix.lower()
+    if ending == ".exr":
+        return _read_phasors(path) if wanted == ARRAYS else _read_channels(path, wanted)
+    if ending == ".npz":
+        return read_npz(path, wanted)
+    if ending == ".mat" and not is_hdf5(path):
+        return read_mat(path, wanted)
     from model.prediction.hdf5_reading import read_hdf5
 
-    return read_hdf5(path, ARRAYS)
+    return read_hdf5(path, wanted)
 
 
-def _read_exr(path: Path) -> Contents:
-    image = read_image(path, advice="write it again with the program that made it")
+def _read_phasors(path: Path) -> Contents:
+    image = read_image(path, advice=_WRITE_AGAIN)
     try:
         phasors, frequencies_hz = image.phasors()  # (H, W, F)
     except ImageFileError as error:
@@ -106,6 +111,11 @@ def _read_exr(path: Path) -> Contents:
     others = [name for name in image.channels if not name.startswith(_OUR_CHANNELS)]
     arrays = {"phasors": phasors, "frequencies_hz": np.array(frequencies_hz)}
     return arrays, [*arrays, *others]
+
+
+def _read_channels(path: Path, wanted: tuple[str, ...]) -> Contents:
+    channels = read_image(path, advice=_WRITE_AGAIN).channels  # (H, W) each
+    return {name: channels[name] for name in wanted if name in channels}, list(channels)
 
 
 def _send(out: BinaryIO, head: dict[str, Any], *arrays: NDArray[Any]) -> None:

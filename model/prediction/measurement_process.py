@@ -21,7 +21,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from model.prediction.array_claims import RefusedError, check_claim
+from model.prediction.array_claims import ARRAYS, Claims, RefusedError
 
 _MOST_HEAD_BYTES = 16 * 2**20
 _MOST_NAMES = 100
@@ -43,20 +43,25 @@ class FileContents:
     names: list[str]
 
 
-def read_contents(path: Path) -> FileContents:
+def read_contents(path: Path, wanted: tuple[str, ...] = ARRAYS, *, taken: int = 0) -> FileContents:
     """The arrays of a measurement file, as they are in the file.
+
+    Parameters
+    ----------
+    wanted : names of the arrays to read; channels of an ``.exr``. Those that the file lacks are left out.
+    taken : bytes of arrays of other files that are in memory already.
 
     Raises
     ------
     RefusedError : the file cannot be read; the message is one sentence that names it.
     """
     root = str(Path(__file__).parents[2])  # where this program is, for the case that it is not installed
-    command = [sys.executable, "-P", "-c", _PROGRAM, root, os.fspath(path)]
+    command = [sys.executable, "-P", "-c", _PROGRAM, root, os.fspath(path), *wanted]
     kept = {name: value for name, value in os.environ.items() if not name.startswith("HDF5_PLUGIN")}
     stderr = None if os.environ.get("NIGHT_TRACEBACK") else DEVNULL
     with Popen(command, stdin=DEVNULL, stdout=PIPE, stderr=stderr, env=kept | _ENVIRONMENT) as child:  # noqa: S603
         try:
-            contents = _received(path, child.stdout)  # type: ignore[arg-type]
+            contents = _received(Claims(path, taken), child.stdout)  # type: ignore[arg-type]
         except BaseException:
             child.kill()
             raise
@@ -65,7 +70,7 @@ def read_contents(path: Path) -> FileContents:
     return contents
 
 
-def _received(path: Path, stream: IO[bytes]) -> FileContents | None:
+def _received(claims: Claims, stream: IO[bytes]) -> FileContents | None:
     """What the process sends; None if it ended before it had sent everything."""
     line = stream.readline(_MOST_HEAD_BYTES)
     if not line.endswith(b"\n"):
@@ -76,7 +81,7 @@ def _received(path: Path, stream: IO[bytes]) -> FileContents | None:
     arrays = {}
     for name, kind, shape in head["arrays"]:
         dtype = np.dtype(kind)
-        check_claim(path, name, dtype, tuple(shape), math.prod(shape) * dtype.itemsize)
+        claims.add(name, dtype, tuple(shape), math.prod(shape) * dtype.itemsize)
         arrays[name] = np.empty(shape, dtype)
         if not _fill(arrays[name].reshape(-1).view(np.uint8).data, stream):
             return None

@@ -16,7 +16,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.prediction.array_claims import RefusedError, check_claim
+from model.prediction.array_claims import Claims, RefusedError
 
 _STEP = 16 * 2**20  # bytes unpacked at a time
 _ZIP, _NPY, _PICKLE = b"PK", b"\x93NUMPY", b"\x80"  # first bytes of such files
@@ -47,9 +47,9 @@ def read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[Any
             _refuse_other_kinds(path, stream.read(6))
             with zipfile.ZipFile(stream) as archive:
                 entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
-                found = {
-                    name: _read(path, name, archive, entries[name]) for name in wanted if name in entries
-                }
+                claims = Claims(path)
+                here = [name for name in dict.fromkeys(wanted) if name in entries]
+                found = {name: _read(claims, name, archive, entries[name]) for name in here}
     except RefusedError:
         raise
     except _ERRORS as error:
@@ -72,10 +72,10 @@ def _refuse_other_kinds(path: Path, start: bytes) -> None:
         )
 
 
-def _read(path: Path, name: str, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+def _read(claims: Claims, name: str, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(entry) as member:
         shape, fortran_order, dtype = _header(member)
-        check_claim(path, name, dtype, shape, entry.compress_size)
+        claims.add(name, dtype, shape, entry.compress_size)
         values = np.empty(shape, dtype, order="F" if fortran_order else "C")
         target = values.reshape(-1, order="A").view(np.uint8).data
         at = 0

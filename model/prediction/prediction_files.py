@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from itof import DepthMap
+from itof.wall.empty_corner import FoundWall
 from itof.wall.wall_fit import WallFit
 from itof.wall.wall_search import locate_wall
 from model.prediction.check_result import MeasurementCheck, WallFound
-from model.prediction.expected_error import expected_mae_m
 from model.prediction.figures import prediction_figure, write_figure
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.measurement_files import Measurement, MeasurementError
@@ -27,8 +27,9 @@ from scenegen import NightError, PathLike, whole_folder, write_text
 from scenegen.files.own_files import hashes_of, refuse_other_files
 from scenegen.progress import showing_progress
 
-PREDICTION_SCHEMA: Final = 3  # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall
-_KNOWN_SCHEMAS: Final = (1, 2, 3)  # of earlier predictions, which are replaced
+# 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`.
+PREDICTION_SCHEMA: Final = 4
+_KNOWN_SCHEMAS: Final = (1, 2, 3, 4)  # of earlier predictions, which are replaced
 RECORD: Final = "prediction.json"
 
 
@@ -85,15 +86,18 @@ class FilePrediction:
     ----------
     images : the predicted images, in the order of the file.
     check : how the measurement compares with the relay wall of the run.
+    wall : of the reference; None without one, or if the network does not need to know it.
     """
 
     images: tuple[PredictedImage, ...]
     check: MeasurementCheck
+    wall: FoundWall | None = None
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The outcome as text: the reference, the wall, and what each image shows."""
-        return (*self.check.sentences, *(image.sentence for image in self.images))
+        wall = () if self.wall is None else (self.wall.sentence,)
+        return (*self.check.sentences, *wall, *(image.sentence for image in self.images))
 
 
 def predict_file(
@@ -145,6 +149,7 @@ def predict_file(
             f"{measurement_file} is not what {run} was trained on: {'; '.join(check.warnings)}; "
             "with --force (force=True) it is predicted all the same"
         )
+    wall = None if measured.reference is None else predictor.found_wall(measured.reference)
     with whole_folder(out) as folder:
         images = _predict_all(predictor, measured, check, chosen, folder, progress)
         record: dict[str, Any] = {
@@ -153,6 +158,7 @@ def predict_file(
             "measurement": str(measurement_file.resolve()),
             "rescaled": chosen,
             "reference": "computed" if measured.reference is None else "measured",
+            "reference_wall": None if wall is None else wall.as_data(),
             "ignored": measured.ignored,
             "findings": [asdict(finding) for finding in check.findings],
             "depth": "radial (along the ray), metres; 0 on background",
@@ -161,7 +167,7 @@ def predict_file(
         }
         write_text(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
         _refuse_other_contents(out)  # which may have got other files meanwhile
-    return FilePrediction(images, check)
+    return FilePrediction(images, check, wall)
 
 
 def _predict_all(
@@ -219,7 +225,7 @@ def _write(
         files.append(f"{name}.ply")
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
-    own_m = expected_mae_m(one) if predictor.config.settings.predicts_probability else None
+    own_m = predictor.expected_mae_m(one)
     return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m, error_m)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from itof import DepthMap, amplitude, join_components
+from itof.wall.empty_corner import FoundWall, captured_wall, find_wall
 from itof.wall.expected_wall import ExpectedWall
 from model.device import choose_device, plain_memory_errors
 from model.network.channels import ChannelError
@@ -19,6 +20,7 @@ from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet, average_with_flip
 from model.network.wall_view import WallView
+from model.prediction.expected_error import expected_mae_m
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
@@ -65,6 +67,13 @@ class Predictor:
         """The same network at another corner, whose wall is expected where `corner` says."""
         return replace(self, config=replace(self.config, geometry=corner))
 
+    def expected_mae_m(self, prediction: DepthMap) -> float | None:
+        """MAE over all pixels that the network expects of its depth map (H, W), metres.
+
+        None for a network that predicts no probabilities.
+        """
+        return expected_mae_m(prediction) if self.config.settings.predicts_probability else None
+
     def predict(
         self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
     ) -> DepthMap:
@@ -76,7 +85,8 @@ class Predictor:
             order. H and W are those of the training.
         reference : (H, W, F) complex measurement of the empty corner, up to a real factor; None for the
             direct return that is computed from the camera and the relay wall of the run. A run with the
-            setting ``reference = "capture"`` needs it.
+            setting ``reference = "capture"`` needs it. If it shows its wall to a centimetre, that is where
+            the wall is taken to be (`itof.wall.empty_corner.captured_wall`).
         rescale : multiply each image so that its mean amplitude at the first frequency is the mean of the
             training scenes. Use it if the phasors have another unit than the training scenes.
 
@@ -94,12 +104,12 @@ class Predictor:
         """
         z = np.asarray(phasors)
         self._refuse_other_images(z)
-        known = self._known(reference)
+        wall = self._wall(reference)
         images = z if z.ndim == 4 else z[None]
         if rescale:
             images = images * self._gain(images)
         parts = [
-            self._predict_some(self._channels(images[start : start + BATCH], known))
+            self._predict_some(self._channels(images[start : start + BATCH], wall))
             for start in range(0, len(images), BATCH)
         ]
         predicted = _joined(parts)
@@ -120,26 +130,37 @@ class Predictor:
             )
         _refuse_not_phasors(z, "the measurement")
 
-    def _known(self, reference: ArrayLike | None) -> NDArray[np.generic] | None:
-        """The reference to use; None if the channels need none, so that it is not computed."""
+    def _wall(self, reference: ArrayLike | None) -> ExpectedWall | None:
+        """The wall with the reference to use; None if the channels need none, so that it is not computed."""
         inputs = self.config.inputs
         if reference is None:
             if inputs.needs_capture:
                 raise InputError(f"the run {NEEDS_CAPTURE}")
-            return self.reference if inputs.uses_residual else None
+            return self.wall if inputs.uses_residual else None
         known = np.asarray(reference)
         if known.shape != self._image_shape:
             raise InputError(f"expected a reference of shape {self._image_shape}, got {known.shape}")
         _refuse_not_phasors(known, "the reference")
-        return known
+        if not inputs.uses_residual:
+            return None
+        return captured_wall(known, self.wall) if self._moves_wall(known) else self.wall.captured(known)
 
-    def _channels(
-        self, images: NDArray[np.generic], reference: NDArray[np.generic] | None
-    ) -> NDArray[np.float32]:
+    def found_wall(self, reference: ArrayLike) -> FoundWall | None:
+        """Where a capture (H, W, F) of the empty corner shows the wall; None if that does not matter.
+
+        It matters to channels that calibrate themselves.
+        """
+        known = np.asarray(reference)
+        return find_wall([known], self.wall) if self._moves_wall(known) else None
+
+    def _moves_wall(self, reference: NDArray[np.generic]) -> bool:
+        """Whether the place of the wall is taken from a reference, which may also be the computed return."""
+        return self.config.inputs.self_calibrates and not np.array_equal(reference, self.reference)
+
+    def _channels(self, images: NDArray[np.generic], wall: ExpectedWall | None) -> NDArray[np.float32]:
         with np.errstate(over="ignore", invalid="ignore"):  # the check below finds overflows
-            inputs, known = self.config.inputs, reference
-            if known is not None and inputs.uses_residual:
-                known = inputs.reference_for(images, replace(self.wall, direct=known))
+            inputs = self.config.inputs
+            known = None if wall is None else inputs.reference_for(images, wall)
             channels = inputs.apply(images, known)  # (N, C, H, W)
         if not np.isfinite(channels).all():
             raise InputError(

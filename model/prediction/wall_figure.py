@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -24,6 +27,16 @@ def wall_figure(title: str, fit: WallFit, frequencies_hz: tuple[float, ...]) -> 
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(frequencies_hz), squeeze=False)[0]
+    draw_residual(figure, panels, fit, frequencies_hz)
+    offsets = ", ".join(f"{1e3 * offset:+.1f}" for offset in fit.offsets_rad)
+    figure.suptitle(f"{plain(title)}\nwall {describe_shift(fit)}; phase offsets {offsets} mrad", fontsize=11)
+    return figure
+
+
+def draw_residual(
+    figure: Figure, panels: Sequence[Axes], fit: WallFit, frequencies_hz: tuple[float, ...]
+) -> None:
+    """Draw the phases that a fit leaves, one frequency a panel, with a bar of colours below."""
     lit = fit.weight > 0
     left_mrad = 1e3 * fit.residual_rad
     limit = max(float(np.percentile(np.abs(left_mrad[lit]), SHOWN_SHARE)), 1e-3)
@@ -37,6 +50,3 @@ def wall_figure(title: str, fit: WallFit, frequencies_hz: tuple[float, ...]) -> 
         axes.set_facecolor(BACKGROUND)
     bar = figure.colorbar(image, ax=list(panels), location="bottom", aspect=40, pad=0.03, extend="both")
     bar.set_label("residual phase, mrad")
-    offsets = ", ".join(f"{1e3 * offset:+.1f}" for offset in fit.offsets_rad)
-    figure.suptitle(f"{plain(title)}\nwall {describe_shift(fit)}; phase offsets {offsets} mrad", fontsize=11)
-    return figure

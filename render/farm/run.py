@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 
 from render.backend import select_variant
-from render.edited_scenes import refuse_edited, without_effect
+from render.edited_scenes import refuse_edited, refuse_measured, without_effect
 from render.farm.claims import joined_run
 from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
@@ -75,6 +75,7 @@ def render_dataset(
     BackendError : this machine cannot render on the requested device.
     QueueError : no further scene can be rendered. The scenes rendered so far stay.
     """
+    refuse_measured(dataset)
     _refuse_device(settings, options)  # before any file is written
     renders = dataset.renders
     with (
@@ -119,6 +120,7 @@ def plan_run(
     RenderError, OtherRunError, ClusterError, BackendError : as in `render_dataset`. A scheduler that does not
         answer is not noticed, because nothing is connected.
     """
+    refuse_measured(dataset)
     _refuse_device(settings, options)
     check_cluster(options.scheduler, options.cluster_file)
     recipe = json.dumps(settings.common_recipe(dataset))

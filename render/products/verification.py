@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import repeat
-from multiprocessing import get_context
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +37,7 @@ from scenegen import (
 )
 from scenegen.render_folder import BAD_FILE
 from scenegen.scene_folder import differences, folder_digest
-from scenegen.worker_processes import ended_when_broken
+from scenegen.worker_processes import results_in_order, worker_pool
 
 
 @dataclass(frozen=True)
@@ -241,18 +239,21 @@ def _checked(
         for scene_id in scenes:
             yield scene_id, _looked_at(dataset, scene_id)
         return
+    workers = min(workers, len(scenes))
     try:
-        pool = ProcessPoolExecutor(min(workers, len(scenes)), mp_context=get_context("spawn"))
-        with pool, ended_when_broken():
-            answers = pool.map(_verify_in, repeat(str(dataset.root)), scenes, chunksize=4)
-            yield from zip(scenes, answers, strict=True)
+        with worker_pool(workers, _start_worker, dataset.root) as pool:
+            answers = results_in_order(pool, _verify_in, scenes, 2 * workers)
+            for scene_id, answer in zip(scenes, answers, strict=True):
+                if answer is not None:
+                    yield scene_id, answer
     except BrokenProcessPool:
         raise RenderError(
             "a worker process was killed, perhaps because memory ran out: try fewer --workers"
         ) from None
 
 
-_opened: dict[str, Dataset] = {}  # of this worker process
+_workers: list[tuple[Path, Event]] = []  # of this process, if it is a worker
+_opened: list[Dataset] = []  # in the first task: the parent gets its errors, but not those of the start
 
 
 def _looked_at(dataset: Dataset, scene_id: str) -> tuple[str, _Judgement]:
@@ -260,7 +261,15 @@ def _looked_at(dataset: Dataset, scene_id: str) -> tuple[str, _Judgement]:
     return damage, _Judgement([]) if damage else _judged(dataset, scene_id)
 
 
-def _verify_in(root: str, scene_id: str) -> tuple[str, _Judgement]:
-    if root not in _opened:
-        _opened[root] = open_dataset(Path(root))
-    return _looked_at(_opened[root], scene_id)
+def _start_worker(root: Path, stop: Event) -> None:
+    _workers.append((root, stop))
+
+
+def _verify_in(scene_id: str) -> tuple[str, _Judgement] | None:
+    """Damage and problems of a scene; None if the command is ending."""
+    root, stop = _workers[0]
+    if stop.is_set():
+        return None
+    if not _opened:
+        _opened.append(open_dataset(root))
+    return _looked_at(_opened[0], scene_id)

@@ -1,0 +1,113 @@
+"""The commands of ``night-eval capture``: import, check and pairs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+
+from commandline.endings import NightGroup, Refusal
+from commandline.options import FOLDER, Size, options
+from commandline.results import JSON, tell
+from scenegen import load_preset
+
+_SIDECAR = "TOML file that says what the frames mean, or a known format: espros, flat, night-authors."
+FRAMES = options(
+    click.option(
+        "--set", "changes", multiple=True, metavar="'KEY = VALUE'", help="Change a key of the sidecar."
+    ),
+    click.option("--empty", multiple=True, type=FOLDER, help="Capture of the empty corner; may be repeated."),
+    click.option(
+        "--bin", "bin_side", type=click.IntRange(min=1), help="Sensor pixels a side of an image pixel."
+    ),
+    click.option(
+        "--size", type=Size(), help="Image size instead; the largest window of this shape is taken."
+    ),
+    click.option(
+        "--fov",
+        "horizontal_fov_deg",
+        type=click.FloatRange(1, 170),
+        help="Horizontal field of view of the image, degrees; less than the sensor's needs --size.",
+    ),
+)
+
+
+@click.group("capture", cls=NightGroup, short_help="Raw frames of a real camera.")
+def capture() -> None:
+    """Bring raw frames of a real camera into NIGHT, and find out what is wrong with them."""
+
+
+@capture.command("import", short_help="Make a measurement file of raw frames.")
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FOLDER)
+@click.option("--sidecar", required=True, type=FOLDER, help=_SIDECAR)
+@click.option("--out", required=True, type=FOLDER, help="File to write: .npz, .h5 or .hdf5.")
+@FRAMES
+@JSON
+def import_(inputs: tuple[Path, ...], sidecar: Path, out: Path, as_json: bool, **given: Any) -> None:
+    """Make a measurement file, which `night-eval predict` reads, of the raw frames in INPUT.
+
+    INPUT are .npz, .h5, .exr or .mat files. Frames are averaged, and pixels binned, as phasors.
+    """
+    import model
+
+    done = model.import_capture(inputs, sidecar, out, **given)
+    reference = None if done.reference is None else asdict(done.reference.facts)
+    result = {"file": str(out), "facts": asdict(done.capture.facts), "reference_facts": reference}
+    tell(done.sentences, result, as_json)
+
+
+@capture.command("check", short_help="What is wrong with a capture, in words.")
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FOLDER)
+@click.option("--sidecar", type=FOLDER, help=f"For raw frames: {_SIDECAR}")
+@click.option("--out", type=FOLDER, help="Picture to write, .png; only an earlier one is replaced.")
+@FRAMES
+@JSON
+def check(
+    inputs: tuple[Path, ...], sidecar: Path | None, out: Path | None, as_json: bool, **given: Any
+) -> None:
+    """Check a measurement file, or raw frames with a sidecar, by the wall that they show.
+
+    Ends with exit code 2 if a prediction would be useless. Needs no network.
+    """
+    import model
+
+    if out is not None and out.suffix.lower() != ".png":
+        raise click.BadParameter(f"{out} must end in .png", param_hint="--out")
+    done = model.check_capture(inputs, sidecar, picture=out, **given)
+    if done.refused:
+        if as_json:
+            tell((), done.as_data(), as_json)
+        raise Refusal(
+            f"{inputs[0]} is no capture of a wall to predict from: {'; '.join(done.found.warnings)}"
+        )
+    tell(done.sentences, done.as_data(), as_json)
+
+
+@capture.command("pairs", short_help="A dataset of captures and of a mirror's.")
+@click.argument("folders", metavar="PAIR...", nargs=-1, required=True, type=FOLDER)
+@click.option("--preset", required=True, help="The corner: a name in data/presets, or a .toml file.")
+@click.option("--out", required=True, type=FOLDER, help="Dataset folder to write.")
+@click.option(
+    "--wall",
+    type=click.Choice(["empty", "preset"]),
+    default="empty",
+    show_default=True,
+    help="The relay wall is where captures of the empty corner show it, or where the preset has it.",
+)
+@JSON
+def pairs(
+    folders: tuple[Path, ...], preset: str, out: Path, wall: Literal["empty", "preset"], as_json: bool
+) -> None:
+    """Make a dataset of real pairs, for `night-train --from RUN` and `night-eval`.
+
+    PAIR is a folder with two imported captures: measurement.npz of the corner, and mirror.npz by the same
+    camera with a mirror on the relay wall, which shows the truth.
+    """
+    import model
+
+    made = model.write_pairs(folders, load_preset(preset), out, wall=wall)
+    found = None if made.wall is None else made.wall.as_data()
+    told = {"dataset": str(out), "scenes": len(made.dataset.ids()), "reference_wall": found}
+    tell(made.sentences, told, as_json)

@@ -1,0 +1,92 @@
+"""The record of an import: a JSON file beside the measurement file, with where it comes from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from model.capture.facts import CaptureFacts
+from model.capture.sidecar import CaptureError, Sidecar
+from scenegen import NightError, sha256_of, write_text
+from scenegen.contract import STRICT, checked
+
+SCHEMA: Final = 1
+_MOST_BYTES = 2**24  # of a record; one with a thousand captured files has 2**17
+
+
+@dataclass(frozen=True, config=STRICT)
+class ImportRecord:
+    """Where a measurement file comes from.
+
+    Attributes
+    ----------
+    schema_version : 1.
+    measurement_sha256 : of the measurement file that this record is about.
+    inputs, empty_inputs : the captured files and their SHA-256.
+    sidecar : what the frames meant, with all keys.
+    facts : of the capture; reference_facts : of that of the empty corner, if there is one.
+    generator : the program and its version.
+    """
+
+    schema_version: Literal[1]
+    measurement_sha256: str
+    inputs: dict[str, str]
+    empty_inputs: dict[str, str]
+    sidecar: Sidecar
+    facts: CaptureFacts
+    reference_facts: CaptureFacts | None
+    generator: str
+
+    def __post_init__(self) -> None:
+        count = len(self.sidecar.frequencies_hz)
+        for facts in (self.facts, self.reference_facts):
+            if facts is not None and {len(facts.drift_rad), len(facts.noise_rad or facts.drift_rad)} != {
+                count
+            }:
+                raise ValueError(f"noise_rad and drift_rad must have {count} values, one for each frequency")
+
+
+def record_path(measurement: Path) -> Path:
+    """Path of the record of a measurement file."""
+    return measurement.with_name(f"{measurement.name}.json")
+
+
+def write_import_record(measurement: Path, record: ImportRecord) -> None:
+    """Write the record beside the measurement file."""
+    write_text(record_path(measurement), json.dumps(asdict(record), indent=2, allow_nan=False) + "\n")
+
+
+def read_import_record(measurement: Path) -> ImportRecord | None:
+    """The record beside a measurement file; None if there is none, or if it is that of another file."""
+    path = record_path(measurement)
+    try:
+        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+            return None
+        text = path.read_bytes()
+    except OSError:
+        return None
+    try:
+        record: ImportRecord = checked(TypeAdapter(ImportRecord), text, str(path), CaptureError)
+    except NightError:
+        return None
+    return record if record.measurement_sha256 == sha256_of(measurement) else None
+
+
+def refuse_foreign(measurement: Path) -> None:
+    """Refuse to replace files that no import has written.
+
+    Raises
+    ------
+    CaptureError : there is a measurement file without its record, or another file where the record goes.
+    """
+    there = [path for path in (measurement, record_path(measurement)) if path.exists() or path.is_symlink()]
+    if there and (not measurement.is_file() or read_import_record(measurement) is None):
+        raise CaptureError(
+            f"{there[0]} is there and is not what an import wrote: give another name to --out, or move it "
+            "away"
+        )
