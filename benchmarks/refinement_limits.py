@@ -2,8 +2,9 @@
 
 Each row changes the measurements of the first test scenes with a single solid, or what is known of them. The
 measurements are those of the dataset; the wall is assumed elsewhere. Noise is Gaussian in each component,
-relative to the amplitude at the first frequency. *accepted* are the fits that explain all but 1 % of the
-hidden light; where a fit is not accepted, the network's depth map counts.
+relative to the amplitude at the first frequency. *accepted* are fits that explain all but 1 % of the hidden
+light and, where the noise is more than that, are near the network's depth map (`Refined.is_right`); where a
+fit is not accepted, the network's depth map counts.
 
 Run:
 
@@ -22,17 +23,21 @@ from numpy.typing import NDArray
 from out_of_range import with_noise
 from wall_error import moved_wall
 
-from itof import pixel_rays
+from itof import DepthMap, pixel_rays
+from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.network.metrics import ImageMetrics, image_metrics, summarise
 from model.network.wall_view import wall_view
 from model.prediction.predictor import Predictor, load
-from model.refinement.refining import ACCEPTED, Family, refined
+from model.refinement.refining import Family, refined
 from model.refinement.room import Room, room_of
 from model.refinement.solids import KIND_OF_SHAPE
 from scenegen import Dataset, open_dataset
 
+HEAD = """| | accepted | network: MAE cm | mIoU | object MAE cm | refined: MAE cm | mIoU | object MAE cm |
+|---|---|---|---|---|---|---|---|"""
 Phasors = NDArray[np.complexfloating]
+Judged = tuple[ImageMetrics, ImageMetrics, bool]  # of the network's depth map, the refined one, and accepted
 
 
 def unchanged(phasors: Phasors) -> Phasors:
@@ -86,28 +91,17 @@ def main() -> None:
     given = parser.parse_args()
     dataset = open_dataset(given.dataset)
     shards, predictor, room = open_shards(dataset), load(given.run), room_of(dataset)
-    rows = [
-        row
-        for row, scene in zip(shards.rows("test"), shards.ids(shards.rows("test")), strict=True)
-        if len(dataset.scene(scene).hidden_objects) == 1
-    ][: given.scenes]
-    print(f"{len(rows)} scenes\n")
-    print("| | accepted | network: MAE cm | mIoU | object MAE cm | refined: MAE cm | mIoU | object MAE cm |")
-    print("|---|---|---|---|---|---|---|---|")
+    rows = single_solids(dataset, shards, given.scenes)
+    print(f"{len(rows)} scenes\n\n{HEAD}")
     for row in ROWS:
         found = [judged(row, predictor, dataset, shards, room, place) for place in rows]
-        before, after = ([each[part] for each in found] for part in (0, 1))
-        accepted = sum(each[2] for each in found)
-        print(
-            f"| {row.words} | {accepted} | {cells(summarise(before))} | {cells(summarise(after))} |",
-            flush=True,
-        )
+        print(table(row.words, found), flush=True)
 
 
 def judged(
     row: Row, predictor: Predictor, dataset: Dataset, shards: Shards, room: Room, place: int
-) -> tuple[ImageMetrics, ImageMetrics, bool]:
-    """Metrics of the network's depth map and of the refined one, and whether the fit was accepted."""
+) -> Judged:
+    """A scene of the shards, changed as in a row."""
     block = shards.read([place])
     used = predictor.config.inputs.places(shards.manifest.frequencies_hz)
     phasor = row.change(block.complex_phasors()[..., used])[0]
@@ -116,19 +110,42 @@ def judged(
     frequencies_hz = predictor.config.inputs.frequencies_hz
     wall = view.expected_wall(view.direct_phasors(width, height, frequencies_hz), frequencies_hz)
     prediction = predictor.at(view).predict(phasor, wall.direct)
-    hidden = dataset.preset.hidden_object
-    sizes = {
-        shape: tuple(row.size_factor * side for side in hidden.size_m.of(shape))
-        for shape in hidden.shapes
-        if shape in KIND_OF_SHAPE
-    }
+    sizes = sizes_of(dataset, row.size_factor)
     assumed = replace(room, plane_per_m=wall.plane_per_m)
     found = refined(phasor, prediction, wall, assumed, Family(sizes, row.fits_sizes), seed=place)
-    accepted = found is not None and found.misfit <= ACCEPTED
+    accepted = found is not None and found.is_right(prediction, predictor.expected_mae_m(prediction))
     better = found.depth_map if found is not None and accepted else prediction
+    return judgement(block, prediction, better, accepted)
+
+
+def judgement(block: RowBlock, prediction: DepthMap, better: DepthMap, accepted: bool) -> Judged:
+    """Both depth maps of one scene beside the truth."""
     truth = block.radial_depth_m[0], block.mask[0]
     before, after = (image_metrics(each.radial_depth_m, each.mask, *truth) for each in (prediction, better))
     return before, after, accepted
+
+
+def single_solids(dataset: Dataset, shards: Shards, count: int) -> list[int]:
+    """Rows of the first test scenes with one solid."""
+    rows = shards.rows("test")
+    of_scene = zip(rows, shards.ids(rows), strict=True)
+    return [row for row, scene in of_scene if len(dataset.scene(scene).hidden_objects) == 1][:count]
+
+
+def sizes_of(dataset: Dataset, factor: float = 1.0) -> dict[str, tuple[float, float, float]]:
+    """Extents of the shapes of a dataset that can be fitted, metres, times a factor."""
+    hidden, sizes = dataset.preset.hidden_object, {}
+    for shape in hidden.shapes:
+        if shape in KIND_OF_SHAPE:
+            x, y, z = (factor * side for side in hidden.size_m.of(shape))
+            sizes[shape] = (x, y, z)
+    return sizes
+
+
+def table(words: str, found: list[Judged]) -> str:
+    """A row of the table."""
+    before, after = summarise([each for each, _, _ in found]), summarise([each for _, each, _ in found])
+    return f"| {words} | {sum(accepted for *_, accepted in found)} | {cells(before)} | {cells(after)} |"
 
 
 if __name__ == "__main__":

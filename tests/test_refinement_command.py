@@ -3,11 +3,14 @@
 import csv
 import json
 import shutil
+import subprocess
 
 import numpy as np
+import psutil
 import pytest
-from night_commands import night_here, refusal
+from night_commands import night_here, refusal, words
 from PIL import Image
+from render_runs import wait_for, workers_of
 
 from itof import DepthMap
 from scenegen import open_dataset
@@ -48,7 +51,7 @@ def copied(refined, tmp_path):
 def test_solids_are_found_and_their_depth_maps_are_better(refined, dataset):
     out, said = refined
     result = json.loads((out / "refined.json").read_text())
-    assert "2 of 2 scenes are explained by a solid" in said
+    assert "2 of 2 solids are accepted" in said
     assert result["accepted_count"] == 2
     for scene in result["scenes"]:
         (true,) = open_dataset(dataset).scene(scene["scene"]).hidden_objects
@@ -107,6 +110,21 @@ def test_other_options_need_another_folder(copied, dataset):
     )
 
 
+def test_only_the_objects_of_another_preset_are_tried(dataset, tmp_path):
+    objects = tmp_path / "objects.toml"
+    words = ['shapes = ["sphere"]', "composite_fraction = 0.0", "size_m = { sphere = [0.5, 0.5, 0.5] }"]
+    objects.write_text("\n".join(["[hidden_object]", *words]))
+    done = night_here(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu"),
+        *("--objects", objects),
+    )
+    assert done.returncode == 0, done.stderr
+    scenes = json.loads((tmp_path / "out" / "refined.json").read_text())["scenes"]
+    assert [scene["solid"]["shape"] for scene in scenes] == ["sphere", "sphere"]
+    assert all(scene["solid"]["size_m"] == [0.5, 0.5, 0.5] for scene in scenes)
+    assert not any(scene["accepted"] for scene in scenes)  # a cube, and a larger sphere
+
+
 def test_a_folder_with_other_files_is_left_alone(dataset, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     sentence = refusal("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path, "--device", "cpu")
@@ -114,13 +132,14 @@ def test_a_folder_with_other_files_is_left_alone(dataset, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize("misfit", ["0", "-1", "nan", "inf"])
-def test_a_misfit_is_a_share_above_0(dataset, tmp_path, misfit):
+@pytest.mark.parametrize("name", ["misfit", "difference"])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
+def test_what_is_accepted_is_a_number_above_0(dataset, tmp_path, name, value):
     sentence = refusal(
         *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out"),
-        *(f"--largest-misfit={misfit}",),
+        *(f"--largest-{name}={value}",),
     )
-    assert sentence.startswith("the largest misfit is a share above 0, got ")
+    assert sentence.startswith(f"the largest {name} is a number above 0, got ")
     assert not (tmp_path / "out").exists()
 
 
@@ -132,3 +151,24 @@ def test_datasets_that_cannot_be_refined_are_named(dataset, make_dataset, seven_
     many = make_dataset({"dataset": {"count": 1, "test_fraction": 1.0}, "camera_spread": {"location_m": 0.1}})
     assert "each scene of" in refusal(*command, many.root, *out)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.long
+def test_results_do_not_depend_on_the_number_of_workers(refined, dataset, tmp_path):
+    given = ("--out", tmp_path / "out", "--device", "cpu", "--workers", 2)
+    done = night_here("night-eval", "refine", "night-40x30", dataset, *given)
+    assert done.returncode == 0, done.stderr
+    for file in sorted(refined[0].rglob("*")):
+        if file.is_file() and file.suffix in (".json", ".csv", ".exr"):
+            assert (tmp_path / "out" / file.relative_to(refined[0])).read_bytes() == file.read_bytes(), file
+
+
+@pytest.mark.long
+def test_workers_end_when_their_command_is_killed(dataset, tmp_path):
+    given = ("night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu", "--workers", 2)
+    command = subprocess.Popen(words("night-eval", "refine", *given))
+    wait_for(lambda: len(workers_of(command)) == 2)
+    workers = workers_of(command)
+    command.kill()
+    command.wait()
+    assert not psutil.wait_procs(workers, timeout=60)[1]

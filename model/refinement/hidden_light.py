@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
+from itof.weighted_reference import weighted_reference
+from model.refinement.pixel_noise import pixel_noise
 
 _ROWS: Final = {True: 15, False: 10}  # of blocks of pixels, about: the hidden light is smooth over the wall
 _FEWEST_BLOCKS = 24  # for the unknowns of wall and phases, and for those of a solid
 _WALL_STEPS = 2  # of Gauss and Newton
-_FAR = 30.0  # medians of the modulus; noise differs between pixels, and edges are farther still
+_MODEL = 0.006  # error of a model's light, of the usual hidden light
 
 
 @dataclass(frozen=True)
@@ -33,9 +35,10 @@ class HiddenLight:
     relative : (P, F) phasors over the direct light, with the modulus 1 at the first frequency.
     rays : (P, 3) unit rays of the blocks.
     plane_per_m : (3,) plane of the relay wall whose direct light it is.
-    weight : (P,) of the blocks, proportional to the inverse standard deviation of noise.
+    weight : (P,) of the blocks: the inverse standard deviation of errors, in any unit. Those of the model are
+        taken to fall with the wall's brightness; noise adds to them.
     slope : (F,) phase of the direct light by the wall's distance, rad/m.
-    noise : standard deviation of the noise in a component of `relative` times `weight`, estimated.
+    noise : root mean square of the noise in a component of `relative` times `weight`, estimated.
     """
 
     relative: NDArray[np.complex128]
@@ -61,22 +64,28 @@ class HiddenLight:
         None where too few blocks of pixels see the wall, or there is no hidden light at all.
         """
         found = calibrate(phasor, wall)
-        strength = np.abs(found.direct[..., :1])
-        safe = np.where((phasor != 0).all(-1) & (found.direct != 0).all(-1), 1.0, np.nan)[..., None]
+        direct = weighted_reference(found.direct, np.abs(phasor[..., 0]))
+        strength = np.abs(direct[..., :1])
+        safe = np.where((phasor != 0).all(-1) & (direct != 0).all(-1), 1.0, np.nan)[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            relative = phasor * np.conj(found.direct) / np.abs(found.direct) ** 2 * strength
+            relative = phasor * np.conj(direct) / np.abs(direct) ** 2 * strength
             relative = relative / np.abs(phasor[..., :1]) * safe
         strength = np.abs(wall.direct[..., :1]) * safe
         strength = strength / np.nanmax(strength, initial=np.finfo(float).tiny)
         size = max(1, phasor.shape[0] // _ROWS[fine])
-        noise = _noise(relative.imag * strength) * _gain_of_noise(size)
-        relative, rays, weight = (_blocks(each, size) for each in (relative, wall.rays * safe, strength))
+        amplitude = np.abs(phasor[..., 0]) * safe[..., 0]
+        noise = pixel_noise(relative.imag, amplitude)[..., None] * _gain_of_noise(size)
+        parts = (relative, wall.rays * safe, strength, noise)
+        relative, rays, weight, noise = (_blocks(each, size) for each in parts)
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         plane = np.asarray(found.plane_per_m)
         good = np.isfinite(relative).all(1) & (rays @ plane > 0)
         if np.count_nonzero(good) < _FEWEST_BLOCKS:
             return None
-        light = cls(relative[good], rays[good], plane, weight[good, 0], np.asarray(wall.slope), noise)
+        relative, rays, weight, noise = relative[good], rays[good], weight[good, 0], noise[good, 0]
+        weight = weight / np.sqrt(1 + (noise * weight / _error_of_model(relative.imag, weight)) ** 2)
+        noisy = float(np.sqrt(((noise * weight) ** 2).mean()))
+        light = cls(relative, rays, plane, weight, np.asarray(wall.slope), noisy)
         return light if light.values.any() else None
 
     def with_wall_behind(self, hidden: NDArray[np.complex128]) -> HiddenLight:
@@ -138,20 +147,10 @@ class HiddenLight:
         return np.concatenate([of_plane, of_offsets], axis=1)
 
 
-def _noise(phases: NDArray[np.float64]) -> float:
-    """Root mean square of the white noise in phases (H, W, F) of smooth light.
-
-    The fourth differences along rows hold almost nothing of the light, and noise with 70 times its power. NaN
-    and values far above the median, as at edges, are left out.
-    """
-    if phases.shape[1] < 5:
-        return 0.0
-    rough = np.abs(np.diff(phases, 4, axis=1))
-    rough = rough[np.isfinite(rough)]
-    if not len(rough):
-        return 0.0
-    usual = rough[rough <= _FAR * np.median(rough)]
-    return float(np.sqrt((usual**2).mean() / 70))
+def _error_of_model(phases: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    """Usual error of a model in weighted phases (P, F)."""
+    usual = float(np.median(np.abs(phases * weight[:, None])))
+    return max(_MODEL * usual, float(np.finfo(float).tiny))
 
 
 def _blocks(image: NDArray[Any], size: int) -> NDArray[Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,9 +18,9 @@ from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Fit, Guess, fitted
 from model.refinement.room import Room
 from model.refinement.search import Sketch, starts
+from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT
 from model.refinement.solids import Solid
 
-ACCEPTED: Final = 0.01  # of the hidden light may stay unexplained
 _USUAL_MISFIT = 0.006  # of the right solid; its square weighs as much against a fit as that of `_USUAL_M`
 _USUAL_M = 0.02  # difference of a network's depth map
 _SAME_M = 0.004  # two fits whose mirror images differ by less are one
@@ -79,6 +79,7 @@ class Refined:
     reflectance : of the solid.
     roughness : of the relay wall; None if it is Lambertian.
     misfit : part of the hidden light that is not explained (root mean squares), without noise.
+    noise : of the measurement, as part of its hidden light (root mean squares).
     depth_map : mirror image of the solid.
     """
 
@@ -86,7 +87,39 @@ class Refined:
     reflectance: float
     roughness: float | None
     misfit: float
+    noise: float
     depth_map: DepthMap
+
+    def is_right(
+        self,
+        prediction: DepthMap,
+        expected_m: float | None,
+        *,
+        largest_misfit: float = LARGEST_MISFIT,
+        largest_difference: float = LARGEST_DIFFERENCE,
+    ) -> bool:
+        """Whether the solid may be believed.
+
+        It must explain the light. Where noise, or what is not explained, is more than 1 % of the light (or
+        than `largest_misfit`, if that is less), other solids explain it as well; then the solid must also be
+        near the network's depth map.
+
+        Parameters
+        ----------
+        prediction, expected_m : depth map of the network, and the MAE that it expects of it, metres; None if
+            the network expects none, and then the light decides alone.
+        largest_misfit : share of the hidden light that may stay unexplained.
+        largest_difference : of both depth maps, mean over all pixels, over `expected_m`.
+        """
+        if self.misfit > largest_misfit:
+            return False
+        if max(self.noise, self.misfit) <= min(largest_misfit, LARGEST_MISFIT) or expected_m is None:
+            return True
+        return self.difference_m(prediction) <= largest_difference * expected_m
+
+    def difference_m(self, prediction: DepthMap) -> float:
+        """Mean absolute difference to another depth map over all pixels; background counts as 0."""
+        return float(np.abs(self.depth_map.radial_depth_m - prediction.radial_depth_m).mean())
 
 
 def refined(
@@ -119,7 +152,7 @@ def refined(
     sketch = Sketch.of(fine.bounces.room, wall.rays, prediction)
     if sketch.is_empty:
         return None
-    with _one_thread():
+    with one_thread():
         found = _Search(coarse, fine, sketch, family).best(np.random.default_rng(seed))
     if found is None:
         return None
@@ -127,12 +160,14 @@ def refined(
     depth_m = comparison.bounces.room.mirrored_depth_m(best.guess.solids, wall.rays)
     depth_map = DepthMap.of_object(depth_m, depth_m > 0, prediction.frequency_hz)
     explaining = comparison.reflectance_of(best.guess)
-    return Refined(best.guess.solids[0], explaining, best.guess.roughness, best.unexplained, depth_map)
+    return Refined(
+        best.guess.solids[0], explaining, best.guess.roughness, best.unexplained, comparison.noise, depth_map
+    )
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """The arrays are small: more threads are slower, and sums would depend on their number."""
+def one_thread() -> Iterator[None]:
+    """Let torch use one thread: for small arrays, more are slower, and sums would depend on their number."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -61,10 +61,8 @@ class Sketch:
         """(3,) a point somewhat behind the middle of the visible points."""
         seen = self.radial_depth_m > 0
         towards = self.room.reflected(self.rays[seen]).mean(axis=0)
-        inner: NDArray[np.float64] = self._middle_m(
-            self.radial_depth_m
-        ) + _INWARDS_M * towards / np.linalg.norm(towards)
-        return inner
+        inwards: NDArray[np.float64] = towards / np.linalg.norm(towards)
+        return self._middle_m(self.radial_depth_m) + _INWARDS_M * inwards
 
     def _middle_m(self, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
         seen = depth_m > 0

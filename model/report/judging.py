@@ -27,7 +27,7 @@ from model.prediction.pointclouds import (
 from model.prediction.predictor import BATCH, Predictor
 from model.report.calibration import SWEEP, Calibration, ThresholdCurve, ThresholdSweep, reread
 from model.report.groups import group_tables
-from model.report.refusals import EvaluationError
+from model.report.refusals import nothing_rendered
 from model.report.reliability import DepthReliabilityCount, ReliabilityCount
 from model.report.results import Report
 from model.report.scene_result import SceneResult, judge_scene
@@ -104,10 +104,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
             points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, bench.fov_deg)
             _write_clouds(clouds, scene, points_gt_m, points_pred_m)
     if not results:
-        raise EvaluationError(
-            f"no scene of the {split} split of {bench.dataset.root} could be rendered: "
-            "see night-render status"
-        )
+        raise nothing_rendered(bench.dataset, split)
     location = bench.dataset.preset.hidden_object.location_m
     return Report(
         split=split,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from model.network.metrics import ImageMetrics, summarise
+from model.report.summary_cells import summary_cells
 from scenegen.contract import STRICT, Vector
 
 
@@ -47,6 +46,9 @@ class RefinedScene:
         the fit is not accepted.
     solid : the fitted solid, accepted or not; None if the network sees no object.
     misfit : part of the hidden light that the solid does not explain.
+    noise : of the measurement, as part of the hidden light.
+    difference_m : of the solid's depth map and the network's, mean over all pixels, metres.
+    expected_mae_m : error that the network expects of its depth map, metres; None without probabilities.
     reflectance, roughness : of the solid and of the relay wall, fitted or known.
     """
 
@@ -56,6 +58,9 @@ class RefinedScene:
     refined: SceneNumbers
     accepted: bool
     misfit: float | None
+    noise: float | None
+    difference_m: float | None
+    expected_mae_m: float | None
     solid: FoundSolid | None
     reflectance: float | None
     roughness: float | None
@@ -79,7 +84,7 @@ class RefinementReport:
         groups += [(name, [s for s in self.scenes if s.object_class == name]) for name in classes]
         for name, scenes in groups:
             before, after = ([getattr(s, part).metrics() for s in scenes] for part in ("network", "refined"))
-            cells = [*_cells(before), *_cells(after)]
+            cells = [*summary_cells(summarise(before)), *summary_cells(summarise(after))]
             rows.append(f"| {name.replace('_', ' ')} | {len(scenes)} | {' | '.join(cells)} |")
         return "\n".join(rows)
 
@@ -87,33 +92,16 @@ class RefinementReport:
     def sentence(self) -> str:
         """How many fits were accepted."""
         accepted = sum(scene.accepted for scene in self.scenes)
-        return f"{accepted} of {len(self.scenes)} scenes are explained by a solid; the others stay"
+        return f"{accepted} of {len(self.scenes)} solids are accepted; the other depth maps are the network's"
 
     def as_data(self) -> dict[str, Any]:
         """All numbers as plain data."""
         before, after = ([getattr(s, part).metrics() for s in self.scenes] for part in ("network", "refined"))
         return {
-            "schema_version": 1,
+            "schema_version": 2,
             "scene_count": len(self.scenes),
             "accepted_count": sum(scene.accepted for scene in self.scenes),
             "network": asdict(summarise(before)),
             "refined": asdict(summarise(after)),
             "scenes": [asdict(scene) for scene in self.scenes],
         }
-
-
-def _cells(metrics: Sequence[ImageMetrics]) -> tuple[str, str, str]:
-    """MAE, mIoU and object MAE with their standard errors."""
-    found = summarise(metrics)
-    cells = []
-    for statistics, factor, digits in (
-        (found.depth_mae_m, 100, 2),
-        (found.miou, 1, 3),
-        (found.object_mae_m, 100, 2),
-    ):
-        if statistics is None:
-            cells.append("-")
-            continue
-        error = statistics.std / math.sqrt(statistics.count)
-        cells.append(f"{factor * statistics.mean:.{digits}f} ± {factor * error:.{digits}f}")
-    return cells[0], cells[1], cells[2]

@@ -6,48 +6,32 @@ import csv
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
 
-import numpy as np
-from pydantic import TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass as checked_dataclass
-from scipy.spatial.transform import Rotation
+from pydantic import TypeAdapter
 
-from itof import DepthMap
 from model.data.shards import open_shards
-from model.network.metrics import ImageMetrics, image_metrics
-from model.network.wall_view import WallView, wall_view
 from model.prediction.predictor import load
-from model.refinement.refining import ACCEPTED, Family, Refined, refined
-from model.refinement.room import Room, room_of
+from model.refinement.refining import Family
+from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
 from model.refinement.solids import KIND_OF_SHAPE
-from model.report.judging import Bench
 from model.report.refined_figure import MOST_SCENES, write_refined_figure
-from model.report.refined_result import FoundSolid, RefinedScene, RefinementReport, SceneNumbers
-from model.report.refusals import EvaluationError, refuse_missing_split, refuse_other_images
+from model.report.refined_result import RefinedScene, RefinementReport
+from model.report.refinement_work import SCENES_FOLDER, Job, Recipe, read_result, worked
+from model.report.refusals import (
+    EvaluationError,
+    nothing_rendered,
+    refuse_missing_split,
+    refuse_other_images,
+)
 from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
-from scenegen import Dataset, PathLike, Split, whole_file, write_text
-from scenegen.contract import STRICT, Vector
+from scenegen import Dataset, PathLike, Preset, Split, whole_file, write_text
 from scenegen.progress import showing_progress
 
-Unknown = Literal["sizes", "reflectance"]
-RECIPE_FILE, RESULT_FILE, SCENES_FOLDER = "recipe.json", "refined.json", "scenes"
+RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
 TABLE_FILE, FIGURE_FILE = "refined.csv", "refined.png"
-
-
-@checked_dataclass(frozen=True, config=STRICT)
-class Recipe:
-    """What results depend on; only results of the same recipe are kept."""
-
-    run_id: str | None
-    data_sha256: str
-    split: Split
-    unknown: tuple[Unknown, ...]
-    largest_misfit: float
-    schema_version: Literal[1] = 1
 
 
 def refine_split(
@@ -56,8 +40,11 @@ def refine_split(
     out: PathLike,
     *,
     split: Split = "test",
+    objects: Preset | None = None,
     unknown: Sequence[Unknown] = (),
-    largest_misfit: float = ACCEPTED,
+    largest_misfit: float = LARGEST_MISFIT,
+    largest_difference: float = LARGEST_DIFFERENCE,
+    workers: int = 1,
     device: DeviceName = "auto",
     progress: bool = True,
 ) -> RefinementReport:
@@ -69,121 +56,78 @@ def refine_split(
 
     Parameters
     ----------
-    unknown : what of the object is fitted, too: its extents (from those of the preset), its reflectance. The
-        preset has what is not fitted.
-    largest_misfit : a fit that leaves a larger part of the hidden light unexplained is not accepted.
+    objects : a preset with the shapes, extents and reflectance of what may be there; None for that of the
+        dataset. A dataset of measurements (`model.write_pairs`) has none.
+    unknown : what of the object is fitted, too: its extents (from those of `objects`), its reflectance.
+    largest_misfit, largest_difference : what is accepted; see `model.refinement.refining.Refined.is_right`.
+    workers : number of processes; the results do not depend on it.
 
     Raises
     ------
     EvaluationError : the split has no scenes, the run was trained for other images, each scene has its camera
-        elsewhere, the preset has no shape that can be fitted, or `out` holds results of another recipe.
+        elsewhere, `objects` has no shape that can be fitted or is missing for measurements, `out` holds
+        results of another recipe, or a worker process was killed.
     RunError, DeviceError, ShardError : as `model.evaluate`.
     """
-    if not (math.isfinite(largest_misfit) and largest_misfit > 0):
-        raise EvaluationError(f"the largest misfit is a share above 0, got {largest_misfit:g}")
+    if workers < 1:
+        raise EvaluationError(f"the number of workers is at least 1, got {workers}")
+    for name, value in (("misfit", largest_misfit), ("difference", largest_difference)):
+        if not (math.isfinite(value) and value > 0):
+            raise EvaluationError(f"the largest {name} is a number above 0, got {value:g}")
     run, out = run_folder(run), Path(out).resolve()
     refuse_missing_split(dataset, split)
     fitted = tuple(sorted(set(unknown)))
-    family = _family(dataset, fitted)
-    predictor = load(run, device)
-    shards = open_shards(dataset, progress=progress)
+    family = _family(dataset, objects, fitted)
+    predictor, shards = load(run, device), open_shards(dataset, progress=progress)
     refuse_other_images(predictor.config, shards, run, dataset)
     rows = shards.rows(split)
     if not rows:
-        raise EvaluationError(
-            f"no scene of the {split} split of {dataset.root} could be rendered: see night-render status"
-        )
-    recipe = Recipe(predictor.config.run_id, shards.manifest.data_sha256, split, fitted, largest_misfit)
+        raise nothing_rendered(dataset, split)
+    recipe = Recipe(
+        predictor.config.run_id,
+        shards.manifest.data_sha256,
+        split,
+        dict(family.sizes),
+        family.reflectance,
+        fitted,
+        largest_misfit,
+        largest_difference,
+    )
     _prepare(out, recipe)
-    view = wall_view(dataset)
-    bench = Bench(predictor.at(view), predictor.config.readout, dataset, shards, progress)
-    work = _Work(bench, view, room_of(dataset), family, largest_misfit, out)
-    results = []
-    with showing_progress(len(rows), "scene", "refine", show=progress) as bar:
-        for row, scene in zip(rows, shards.ids(rows), strict=True):
-            results.append(_read_result(out, scene) or work.result(row, scene))
+    job = Job(run, dataset.root, device, family, recipe, out)
+    work = job.begun(predictor, dataset, shards)
+    scenes = shards.ids(rows)
+    results = {scene: found for scene in scenes if (found := read_result(out, scene)) is not None}
+    missing = [(row, scene) for row, scene in zip(rows, scenes, strict=True) if scene not in results]
+    with showing_progress(len(rows), "scene", "refine", initial=len(results), show=progress) as bar:
+        for result in worked(job, work, missing, workers):
+            results[result.scene] = result
             bar.update(1)
-    report = RefinementReport(tuple(results))
+    report = RefinementReport(tuple(results[scene] for scene in scenes))
     _write_table(out / TABLE_FILE, report.scenes)
     write_refined_figure(out / FIGURE_FILE, [work.shown(row) for row in rows[:MOST_SCENES]])
     write_text(out / RESULT_FILE, json.dumps({**asdict(recipe), **report.as_data()}, indent=2) + "\n")
     return report
 
 
-@dataclass(frozen=True)
-class _Work:
-    """What the scenes of a split have in common."""
-
-    bench: Bench
-    view: WallView
-    room: Room
-    family: Family
-    largest_misfit: float
-    out: Path
-
-    def result(self, row: int, scene: str) -> RefinedScene:
-        """Predict, refine and judge one scene, and write its files."""
-        bench = self.bench
-        block = bench.shards.read([row])
-        frequencies_hz = bench.predictor.config.inputs.frequencies_hz
-        used = bench.predictor.config.inputs.places(bench.shards.manifest.frequencies_hz)
-        wall = self.view.expected_wall(bench.shards.reference[..., used], frequencies_hz)
-        prediction = bench.predict(block)[0]
-        phasor = block.complex_phasors()[0][..., used]
-        entry = bench.dataset.scene(scene)
-        found = refined(phasor, prediction, wall, self.room, self.family, seed=entry.seed)
-        accepted = found is not None and found.misfit <= self.largest_misfit
-        better = found.depth_map if found is not None and accepted else prediction
-        truth = block.radial_depth_m[0], block.mask[0]
-        result = RefinedScene(
-            scene,
-            entry.object_class,
-            _numbers(image_metrics(prediction.radial_depth_m, prediction.mask, *truth)),
-            _numbers(image_metrics(better.radial_depth_m, better.mask, *truth)),
-            accepted,
-            None if found is None else found.misfit,
-            None if found is None else self._in_world(found),
-            None if found is None else found.reflectance,
-            None if found is None else found.roughness,
-        )
-        self._write(result, better)
-        return result
-
-    def shown(self, row: int) -> tuple[str, DepthMap, DepthMap, DepthMap]:
-        """Name of a finished scene, and the depth maps of truth, network and refinement."""
-        block = self.bench.shards.read([row])
-        (scene,) = self.bench.shards.ids([row])
-        prediction = self.bench.predict(block)[0]
-        truth = DepthMap.of_object(block.radial_depth_m[0], block.mask[0] > 0, prediction.frequency_hz)
-        better = DepthMap.read(self.out / SCENES_FOLDER / f"{scene}.exr")
-        name = f"{scene} {self.bench.dataset.scene(scene).object_class.replace('_', ' ')}"
-        return name, truth, prediction, better
-
-    def _in_world(self, found: Refined) -> FoundSolid:
-        axes = np.asarray(self.view.camera_axes)
-        location_m = np.asarray(self.view.camera_location_m) + found.solid.centre_m @ axes
-        turned = Rotation.from_matrix(axes.T @ found.solid.axes)
-        with_limits = turned.as_euler("xyz", degrees=True)
-        return FoundSolid(found.solid.shape, found.solid.size_m, _vector(location_m), _vector(with_limits))
-
-    def _write(self, result: RefinedScene, better: DepthMap) -> None:
-        folder = self.out / SCENES_FOLDER
-        better.write(folder / f"{result.scene}.exr", {"scene_id": result.scene})
-        write_text(folder / f"{result.scene}.json", json.dumps(asdict(result), indent=1) + "\n")
-
-
-def _family(dataset: Dataset, fitted: Sequence[Unknown]) -> Family:
+def _family(dataset: Dataset, objects: Preset | None, fitted: Sequence[Unknown]) -> Family:
     """What the hidden objects of a dataset may be."""
     if not dataset.preset.is_one_corner:
         raise EvaluationError(
             f"each scene of {dataset.root} has its camera elsewhere (camera_spread): "
             "refinement needs one corner"
         )
-    hidden = dataset.preset.hidden_object
+    if objects is None and dataset.is_measured:
+        raise EvaluationError(
+            f"{dataset.root} holds measurements and does not say what may be there: give a preset with the "
+            "shapes and sizes, --objects PRESET"
+        )
+    hidden = (dataset.preset if objects is None else objects).hidden_object
     known = {shape: hidden.size_m.of(shape) for shape in hidden.shapes if shape in KIND_OF_SHAPE}
     if not known:
         raise EvaluationError(
-            f"{dataset.root} has none of the shapes that can be fitted: {', '.join(KIND_OF_SHAPE)}"
+            f"{dataset.root if objects is None else 'the preset of the objects'} has none of the shapes that "
+            f"can be fitted: {', '.join(KIND_OF_SHAPE)}"
         )
     return Family(known, "sizes" in fitted, None if "reflectance" in fitted else hidden.reflectance)
 
@@ -194,7 +138,7 @@ def _prepare(out: Path, recipe: Recipe) -> None:
     if file.exists():
         try:
             earlier = TypeAdapter(Recipe).validate_json(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError, ValidationError):
+        except (OSError, ValueError):
             earlier = None
         if earlier != recipe:
             raise EvaluationError(
@@ -207,18 +151,6 @@ def _prepare(out: Path, recipe: Recipe) -> None:
     write_text(file, json.dumps(asdict(recipe), indent=2) + "\n")
 
 
-def _read_result(out: Path, scene: str) -> RefinedScene | None:
-    """The result of a scene that an earlier command has finished; None if there is none, or it is damaged."""
-    folder = out / SCENES_FOLDER
-    try:
-        text = (folder / f"{scene}.json").read_text(encoding="utf-8")
-        result = TypeAdapter(RefinedScene).validate_json(text)
-        DepthMap.read(folder / f"{scene}.exr")
-    except (OSError, ValueError):
-        return None
-    return result if result.scene == scene else None
-
-
 def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
     rows = [
         {
@@ -226,6 +158,9 @@ def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
             "object_class": scene.object_class,
             "shape": scene.solid.shape if scene.solid else "",
             "misfit": scene.misfit,
+            "noise": scene.noise,
+            "difference_m": scene.difference_m,
+            "expected_mae_m": scene.expected_mae_m,
             "accepted": scene.accepted,
             **{f"network_{key}": value for key, value in asdict(scene.network).items()},
             **{f"refined_{key}": value for key, value in asdict(scene.refined).items()},
@@ -236,12 +171,3 @@ def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
         table = csv.DictWriter(stream, fieldnames=list(rows[0]))
         table.writeheader()
         table.writerows(rows)
-
-
-def _numbers(metrics: ImageMetrics) -> SceneNumbers:
-    return SceneNumbers(**asdict(metrics))
-
-
-def _vector(values: Any) -> Vector:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

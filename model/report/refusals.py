@@ -52,6 +52,13 @@ def refuse_missing_split(dataset: Dataset, split: Split) -> None:
         )
 
 
+def nothing_rendered(dataset: Dataset, split: Split) -> EvaluationError:
+    """The error of a split of which no scene is rendered."""
+    return EvaluationError(
+        f"no scene of the {split} split of {dataset.root} could be rendered: see night-render status"
+    )
+
+
 def refuse_scenes_not_shown(dataset: Dataset, split: Split, scenes: Sequence[str]) -> None:
     """Refuse scenes for the figures that the dataset lacks or another split has, or too many of them."""
     for scene in scenes:
