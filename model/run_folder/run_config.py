@@ -44,6 +44,8 @@ _LATER: Final = (
     "train_scenes",
     "least_reflectance",
     "uncertainty",
+    "sensor",
+    "sensor_capture",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]

@@ -27,9 +27,11 @@ _AGAIN: Final = "write it again from the checkpoint with night-train --resume, o
 _log = logging.getLogger(__name__)
 
 
-def save_weights(folder: Path, weights: Mapping[str, Tensor], run_id: str) -> None:
-    """Write ``best.safetensors`` of the run `run_id`; `OSError` if that fails."""
+def save_weights(folder: Path, weights: Mapping[str, Tensor], run_id: str, *, half: bool = False) -> None:
+    """Write ``best.safetensors`` of the run `run_id`, with `half` as 16 bit floats; `OSError` on failure."""
     plain = {name: tensor.cpu().contiguous() for name, tensor in weights.items()}
+    if half:
+        plain = {name: tensor.half() for name, tensor in plain.items()}
     content = labelled(save(plain, {_METADATA: label_text(run_id)}))
     with whole_file(folder / WEIGHTS_FILE) as partial:
         partial.write_bytes(content)
@@ -37,6 +39,8 @@ def save_weights(folder: Path, weights: Mapping[str, Tensor], run_id: str) -> No
 
 def load_weights(folder: Path, network: UNet, config: RunConfig) -> bytes:
     """Load ``best.safetensors`` of the run that `config` describes into `network`.
+
+    Weights that are 16 bit floats, as in a compact run (`model.run_folder.compact`), become 32 bit floats.
 
     Returns
     -------
@@ -66,7 +70,8 @@ def load_weights(folder: Path, network: UNet, config: RunConfig) -> bytes:
         weights = load(content)
     except Exception as error:  # whatever a library says of a file that somebody else made
         raise RunError(f"{file} is no safetensors file ({error}): {_AGAIN}") from None
-    fill(network, weights, file)
+    whole = {name: each.float() if each.dtype == torch.float16 else each for name, each in weights.items()}
+    fill(network, whole, file)
     return content
 
 

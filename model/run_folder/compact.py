@@ -1,0 +1,45 @@
+"""A run folder of half the size, to publish: weights as 16 bit floats, and no checkpoint."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from model.run_folder.history import HISTORY_FILE
+from model.run_folder.run_config import CONFIG_FILE, RunError, read_config
+from model.run_folder.shipped import run_folder
+from model.run_folder.weights import load_weights, save_weights
+from scenegen import PathLike, whole_folder
+
+
+def compact(run: PathLike, out: PathLike) -> Path:
+    """Write the folder `out` with what a prediction, an evaluation and `night-train --from` need of a run.
+
+    16 bit floats round weights by up to 5e-4 of their size; the run keeps its id. `--resume` would begin
+    again, without the checkpoint.
+
+    Raises
+    ------
+    RunError : the run is damaged, of schema 2 or without weights, a weight is too large for 16 bits, or `out`
+        exists.
+    """
+    folder, out = run_folder(run), Path(out).resolve()
+    if out.exists():
+        raise RunError(f"{out} exists already: choose another folder")
+    config = read_config(folder)
+    if config.run_id is None:
+        raise RunError(
+            f"{folder} is a run of an earlier version without an id: resume it once, then publish it"
+        )
+    network = config.network()
+    load_weights(folder, network, config)
+    weights = network.state_dict()
+    large = next((name for name, each in weights.items() if not bool(each.half().isfinite().all())), None)
+    if large is not None:
+        raise RunError(f"{folder} has weights that are too large for 16 bits ({large}): publish it whole")
+    with whole_folder(out) as partial:
+        for name in (CONFIG_FILE, HISTORY_FILE):
+            if (folder / name).is_file():
+                shutil.copyfile(folder / name, partial / name)
+        save_weights(partial, weights, config.run_id, half=True)
+    return out
