@@ -1,3 +1,7 @@
+from .capture.checking import check_capture
+from .capture.importing import import_capture
+from .exposures.sweep import judge_exposures
+from .mirror.pairs import write_pairs
 from .network.channels import InputSpec
 from .network.readout import Readout
 from .network.unet import UNet
@@ -7,6 +11,7 @@ from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
 from .report.evaluation import evaluate
 from .report.refinement import refine_split
+from .run_folder.compact import compact
 from .run_folder.run_config import fine_tuning_settings, run_settings
 from .run_folder.shipped import shipped_runs
 from .settings import TrainSettings, settings_from_dict, training_preset
@@ -18,10 +23,14 @@ __all__ = [
     "Readout",
     "TrainSettings",
     "UNet",
+    "check_capture",
     "check_file",
+    "compact",
     "evaluate",
     "export_onnx",
     "fine_tuning_settings",
+    "import_capture",
+    "judge_exposures",
     "load",
     "predict_file",
     "refine_split",
@@ -30,4 +39,5 @@ __all__ = [
     "shipped_runs",
     "train",
     "training_preset",
+    "write_pairs",
 ]

@@ -116,34 +116,6 @@ def test_the_gallery_shows_the_first_scenes_and_the_worst(finished_run, closed_f
 
 
 @pytest.mark.long
-def test_a_perfect_camera_changes_no_result_and_a_bad_one_does(self_run, closed_form_scenes, tmp_path):
-    camera = tmp_path / "camera.toml"
-    camera.write_text('width = 48\nheight = 28\nreference_waveform = "square"\nemitter_waveform = "square"\n')
-    words = (self_run, closed_form_scenes.root, "--sensor", camera, "--milliseconds", 1, "--scenes", 3)
-    ((_, total_s, _, noise, saturated, mae_cm, *_),) = rows("exposure", *words, "--without", "wiggling")
-    assert (float(total_s), float(noise), float(saturated)) == (0.012, 0, 0)
-    shards = open_shards(closed_form_scenes)
-    block = shards.read(shards.rows("test")[:3])
-    found = load(self_run, "cpu").predict(block.complex_phasors())
-    images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
-    mean_cm = 100 * summarise([image_metrics(*image) for image in images]).depth_mae_m.mean
-    assert float(mae_cm) == pytest.approx(mean_cm, abs=0.01)
-    wiggling, half = (rows("exposure", *words, "--wiggling-left", part)[0][5] for part in (1, 0))
-    assert float(half) == pytest.approx(mean_cm, abs=0.01)
-    assert wiggling != half
-    names = [
-        line.split("|")[1].strip()
-        for line in subprocess.run(
-            [sys.executable, BENCHMARKS / "exposure.py", *map(str, words), "--each"],
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.splitlines()[4:]
-    ]
-    assert names == ["all", "perfect", "wiggling alone", "all but wiggling"]
-
-
-@pytest.mark.long
 def test_networks_are_judged_on_every_corner(self_run, closed_form_scenes):
     command = [sys.executable, BENCHMARKS / "many_corners.py", self_run, "--judge", closed_form_scenes.root]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -195,7 +195,7 @@ def test_a_dataset_elsewhere_is_judged_with_its_own_wall(run, tmp_path):
     moved = load(run, "cpu").at(wall_view(away))
     z = shards.complex_phasors([0])
     for predictor in (moved, load(run, "cpu")):
-        channels = predictor._channels(z, shards.reference if predictor is moved else predictor.reference)
+        channels = predictor._channels(z, predictor.wall)
         mean, spread = predictor.config.inputs.wall_scale_per_m
         seen.append(channels[0, 5] * spread + mean)
     truth = inverse_distance_per_m(away.scene("000000"), 14, 24)

@@ -35,7 +35,7 @@ def paper_run(closed_form_scenes, tmp_path_factory):
 def test_the_preset_of_the_paper_has_the_numbers_of_text_and_released_code():
     chosen = paper()
     assert (chosen.channel_noise_sigma, chosen.noise_sigma) == (1.0, 0.0)
-    assert chosen.channel_noise_fraction == pytest.approx(403 / 2833, rel=1e-12)
+    assert chosen.change_fraction == pytest.approx(403 / 2833, rel=1e-12)
     assert (chosen.balance, chosen.alpha) == ("dataset", 1 / 7)
     assert (chosen.patience, chosen.min_delta) == (150, 0.015)
     assert (chosen.mask_from, chosen.dead_zone, chosen.amplitude_divisor) == ("depth", 0.05, "maximum")
@@ -108,7 +108,7 @@ def test_run_files_of_before_these_settings_predict_as_before(closed_form_scenes
     known = config_of(run)
     new = {
         *("amplitude_divisor", "balance", "mask_from", "mask_depth_m"),
-        *("channel_noise_sigma", "channel_noise_fraction"),
+        *("channel_noise_sigma", "channel_noise_fraction", "change_fraction"),
     }
     assert new <= known["settings"].keys()
     edit_config(run, settings={k: v for k, v in known["settings"].items() if k not in new})

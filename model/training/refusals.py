@@ -7,9 +7,11 @@ from contextlib import contextmanager
 from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 
+from itof.sensor.settings import SensorSettings
 from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
+from model.sensors import view_problem
 from model.settings import TrainSettings
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset, NightError, is_partial
@@ -50,6 +52,14 @@ def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> Non
             f"freeze {settings.freeze} keeps layers of a trained run, but this training begins with random "
             "weights: give a run with --from, or leave freeze out"
         )
+
+
+def refuse_other_view(shards: Shards, dataset: Dataset, sensor: SensorSettings | None) -> None:
+    """`TrainingError` if the camera of the settings cannot measure the images of the dataset."""
+    if sensor is not None:
+        problem = view_problem(sensor, dataset, shards.manifest.width, shards.manifest.height)
+        if problem:
+            raise TrainingError(problem)
 
 
 def refuse_missing_scenes(shards: Shards, dataset: Dataset, wanted: int | None) -> None:

@@ -69,7 +69,10 @@ class TrainingState:
         self.run_id = config.run_id or run_id_of(config)
         frequencies_hz = shards.manifest.frequencies_hz
         wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
-        self.maker = BatchMaker.for_shards(config.inputs, frequencies_hz, wall, device)
+        self.maker = BatchMaker.for_shards(
+            *(config.inputs, frequencies_hz, wall, device, settings.sensor),
+            sensor_capture=settings.sensor_capture,
+        )
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
         steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
@@ -88,7 +91,8 @@ class TrainingState:
             added_bytes=self.maker.reference_bytes,
         )
         # The window decides the order of the rows, which must be the same in all processes.
-        return Feed(self.shards, rows, self.processes.smallest(window), self.maker.upload)
+        prepare = self.maker.upload_to_augment if split == "train" else self.maker.upload
+        return Feed(self.shards, rows, self.processes.smallest(window), prepare)
 
     @property
     def best(self) -> EpochRecord:
@@ -201,7 +205,7 @@ class TrainingState:
                 window_rows,
                 feed.window_rows,
             )
-        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self.maker.upload)
+        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self.maker.upload_to_augment)
 
 
 def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:

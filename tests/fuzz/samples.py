@@ -5,7 +5,9 @@ import shutil
 import h5py
 import numpy as np
 import trimesh
+from captures import steps, taps_of, write_sidecar
 from night_commands import night_here
+from scipy.io import savemat
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import train_on_one_thread
 
@@ -87,6 +89,7 @@ def write_samples(folder, render):
     closed = write_synthetic_dataset(work / "closed", count=4, width=24, height=14)
     train_on_one_thread(closed, work / "run", max_epochs=1, schedule="constant")
     _write_measurements(work, closed)
+    _write_frames(work)
     (work / "training.toml").write_text(TRAINING)
     (work / "cluster.yaml").write_text(CLUSTER)
     (work / "preset.toml").write_text(PRESET.format(shapes='["sphere", "cube"]'))
@@ -132,6 +135,19 @@ def _write_measurements(work, closed):
         with h5py.File(work / f"{name}.h5", "w") as file:
             for key, values in arrays.items():
                 file[key] = values
+
+
+def _write_frames(work):
+    """Raw frames of the measurement in all forms, and their sidecar."""
+    phasors = np.load(work / "itof.npz")["phasors"].astype(np.complex128)
+    sidecar = write_sidecar(work / "camera.toml", dark_arrays=["dark"], dark_file="dark.npz")
+    raw = np.round(1e4 / np.abs(phasors).max() * taps_of(phasors, steps(4), steps(2)))[None]
+    frames = np.concatenate([raw, raw + 1]).astype(np.uint16)
+    np.savez(sidecar.with_name("dark.npz"), dark=np.zeros_like(raw))
+    np.savez(work / "frames.npz", raw=frames)
+    savemat(work / "frames.mat", {"raw": frames}, do_compression=True)
+    with h5py.File(work / "frames.h5", "w") as file:
+        file.create_dataset("raw", data=frames, chunks=(1, *frames.shape[1:]), compression="gzip")
 
 
 def _write_meshes(work):

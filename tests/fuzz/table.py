@@ -13,6 +13,14 @@ SHARDS = ("closed/shards", "closed/.hashes.json")
 _PREDICT = "night-eval predict run {file} --out new --device cpu"
 PREDICT = Reader(_PREDICT)
 USE_RUN = Reader(_PREDICT.format(file="itof.exr"), named=("itof.exr",))
+_IMPORT = "night-eval capture import {file} --sidecar {sidecar} --out new.npz"
+IMPORT = Reader(
+    *(_IMPORT.format(file="{file}", sidecar="camera.toml"), ("new.npz", "new.npz.json"), ("new.npz",))
+)
+DESCRIBE = Reader(
+    *(_IMPORT.format(file="frames.npz", sidecar="{file}"), ("new.npz", "new.npz.json"), ("new.npz",)),
+    named=("frames.npz", "dark.npz"),
+)
 PREDICT_AGAIN = Reader(USE_RUN.command.replace("new", "pred"), writes=("pred",), named=("pred",))
 JUDGE = Reader("night-eval run closed --out new --device cpu", ("new", *SHARDS), ("new",))
 JUDGE_AGAIN = Reader(JUDGE.command.replace("new", "report"), ("report", *SHARDS), ("report",), ("report",))
@@ -48,6 +56,10 @@ MEASUREMENTS = (
     Kind("measurement .exr", "itof.exr", EXR, PREDICT, 0.3, other="other.exr"),
     Kind("measurement .npz", "itof.npz", NPZ, PREDICT, 1, other="other.npz"),
     Kind("measurement .h5", "itof.h5", HDF5, PREDICT, 1, other="other.h5"),
+    Kind("capture .npz", "frames.npz", NPZ, IMPORT, 0.3, other="frames.npz"),
+    Kind("capture .h5", "frames.h5", HDF5, IMPORT, 0.3, other="frames.h5"),
+    Kind("capture .mat", "frames.mat", ANY_BYTES, IMPORT, 1, other="frames.mat"),
+    Kind("sidecar", "camera.toml", ANY_TEXT, DESCRIBE, 0.5),
     Kind("earlier prediction", "pred/prediction.json", JSON, PREDICT_AGAIN, 0.2, vouched=True),
 )
 RUNS = (
