@@ -3,6 +3,11 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := demo
+# Tests run in two processes; each needs up to 4 GB. `make test TEST_PROCESSES=0` runs them in one.
+TEST_PROCESSES ?= 2
+PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist loadfile
+# One process, which runs two commands at a time and has one seed and one table of results.
+FUZZ := $(BIN)/pytest tests/fuzz
 
 .PHONY: setup demo test test-long fuzz lint clean
 
@@ -21,15 +26,16 @@ lint: setup
 
 # What to run before a commit.
 test: lint
-	$(BIN)/pytest -m "not long"
+	$(PYTEST) -m "not long"
 
 # Kill campaigns, thousands of scenes, convergence studies.
 test-long: setup
-	$(BIN)/pytest -m long
+	$(PYTEST) -m long --ignore tests/fuzz
+	$(FUZZ) -m long
 
 # The campaign of docs/security.md: 7,900 damaged files and 280 kills; its table is in fuzz.md.
 fuzz: setup
-	NIGHT_FUZZ_INPUTS=500 NIGHT_FUZZ_KILLS=40 NIGHT_FUZZ_TABLE=fuzz.md $(BIN)/pytest tests/fuzz
+	NIGHT_FUZZ_INPUTS=500 NIGHT_FUZZ_KILLS=40 NIGHT_FUZZ_TABLE=fuzz.md $(FUZZ)
 
 # Scenes, renders and training go on where an interrupted demo stopped; `make clean` starts over.
 # First a prediction by the network that comes with NIGHT, of a scene that is made and rendered for it.
