@@ -115,6 +115,9 @@ def test_a_dry_run_prints_the_plan_and_changes_nothing(pipeline_copy):
     assert (done.stdout + done.stderr).count("plan: ") == 1
     assert done.stdout.startswith("plan: 1 scenes at 24x18, many-light, product both\ndisk: ")
     assert tree(data) == before
+    other = night_here("night-render", data, "--dry-run", "--replace", "--resolution", "12x9")
+    assert other.returncode == 0, other.stderr
+    assert tree(data) == before
     for unrendered in (False, True):  # also where no folder of renders is there
         if unrendered:
             shutil.rmtree(data / "renders")

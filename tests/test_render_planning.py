@@ -1,15 +1,17 @@
 """Plans, claims and status: what is said before and during a run is what the disk shows."""
 
+import fcntl
 import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import asdict, replace
 
 import pytest
 
-from render.farm.claims import OtherRunError, attempts_of, claimed, joined_run, running
+from render.farm.claims import OtherRunError, attempts_of, claimed, joined_run, refuse_other_run, running
 from render.farm.inventory import Inventory
 from render.farm.plan import make_plan, size
 from render.farm.status import duration, read_status
@@ -128,6 +130,31 @@ def test_runs_of_the_same_settings_go_together_and_others_wait(tmp_path):
         pytest.fail("two kinds of settings at once")
     with joined_run(renders, "two"):
         pass
+
+
+def test_a_plan_writes_nothing_and_says_that_others_render_otherwise(tmp_path):
+    renders = tmp_path / "renders"
+    refuse_other_run(renders, "one")
+    assert not renders.exists()
+    with joined_run(renders, "one"):
+        refuse_other_run(renders, "one")
+        with pytest.raises(OtherRunError, match="with other settings \\(one\\)"):
+            refuse_other_run(renders, "two")
+    refuse_other_run(renders, "two")
+    assert (renders / ".run").read_text() == "one"
+
+
+def test_a_run_that_starts_while_a_plan_looks_is_not_refused(tmp_path):
+    renders = tmp_path / "renders"
+    with joined_run(renders, "one"):
+        pass
+    with (renders / ".run").open() as plan:
+        fcntl.flock(plan, fcntl.LOCK_EX)
+        look = threading.Timer(0.2, lambda: fcntl.flock(plan, fcntl.LOCK_UN))
+        look.start()
+        with joined_run(renders, "two"):
+            assert (renders / ".run").read_text() == "two"
+        look.join()
 
 
 def test_the_pace_is_that_of_the_latest_scenes_without_the_pause_before(rendered):

@@ -107,19 +107,45 @@ def joined_run(renders: Path, settings: str) -> Iterator[None]:
     inside(renders, _CLAIMS)  # before any work
     descriptor = open_lock_file(renders / _RUN)
     try:
-        if lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):  # we are the only run: record our settings
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, settings.encode(), 0)
-        lock(descriptor, fcntl.LOCK_SH)
-        others = os.pread(descriptor, 2**20, 0).decode()
-        if others != settings:
-            raise OtherRunError(
-                f"another night-render is rendering {renders.parent} with other settings ({others}): wait "
-                "until it ends, or start this command with the same settings"
-            )
+        for _ in range(2):  # at the first time, a plan may have held the lock for a moment
+            if lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):  # we are the only run: record our settings
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, settings.encode(), 0)
+            lock(descriptor, fcntl.LOCK_SH)
+            others = _recorded(descriptor)
+            if others == settings:
+                break
+        else:
+            raise _other_run(renders, others)
         yield
     finally:
         os.close(descriptor)
+
+
+def refuse_other_run(renders: Path, settings: str) -> None:
+    """`OtherRunError` if a running command renders with other `settings`; nothing is written."""
+    if not os.path.lexists(renders / _RUN):
+        return
+    descriptor = open_lock_file(renders / _RUN)
+    try:
+        if lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):
+            return  # nobody renders
+        lock(descriptor, fcntl.LOCK_SH)
+        if (others := _recorded(descriptor)) != settings:
+            raise _other_run(renders, others)
+    finally:
+        os.close(descriptor)
+
+
+def _recorded(descriptor: int) -> str:
+    return os.pread(descriptor, 2**20, 0).decode()
+
+
+def _other_run(renders: Path, others: str) -> OtherRunError:
+    return OtherRunError(
+        f"another night-render is rendering {renders.parent} with other settings ({others}): wait "
+        "until it ends, or start this command with the same settings"
+    )
 
 
 @contextmanager

@@ -6,12 +6,11 @@ import json
 import logging
 import secrets
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 
 from render.backend import select_variant
 from render.edited_scenes import refuse_edited, refuse_measured, without_effect
-from render.farm.claims import joined_run
+from render.farm.claims import joined_run, refuse_other_run
 from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
 from render.farm.jobs import GROWTH_BYTES, Outcome
@@ -123,14 +122,13 @@ def plan_run(
     refuse_measured(dataset)
     _refuse_device(settings, options)
     check_cluster(options.scheduler, options.cluster_file)
-    recipe = json.dumps(settings.common_recipe(dataset))
-    with joined_run(dataset.renders, recipe) if dataset.renders.is_dir() else nullcontext():
-        found = _look(dataset, settings, scenes, options, say)
-        plan = None
-        if found.todo:
-            plan = _checked_plan(dataset, settings, found, options, say)
-        else:
-            say(f"nothing to render: {len(found.done)} scenes are rendered, {found.skipped} failed earlier")
+    refuse_other_run(dataset.renders, json.dumps(settings.common_recipe(dataset)))
+    found = _look(dataset, settings, scenes, options, say)
+    plan = None
+    if found.todo:
+        plan = _checked_plan(dataset, settings, found, options, say)
+    else:
+        say(f"nothing to render: {len(found.done)} scenes are rendered, {found.skipped} failed earlier")
     return RunResult(0, len(found.done), skipped_failures=found.skipped, plan=plan)
 
 
