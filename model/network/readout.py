@@ -95,18 +95,24 @@ class Readout:
     def mask(self, output: Tensor) -> Tensor:
         """(N, H, W) float mask, 0 or 1, with a straight-through gradient.
 
-        *From the amplitude.* The gradient is that of `presence`, the amplitude clipped to [0, 1]. Clipping is
+        *Of phasors.* The gradient is that of `presence`, the amplitude clipped to [0, 1]. Clipping is
         necessary: beyond amplitude 1 the mask does not change, but the gradient of an unclipped amplitude is
         about ten times that of the mean absolute error on every object pixel and drives amplitudes to 1e17.
+        A mask from the depth has this gradient, too: the depth of a pixel appears and disappears with its
+        amplitude, at the dead zone. The gradient of the depth itself would only turn phases, and with it
+        trainings end at "no object" (docs/results.md).
 
-        *From the depth.* The gradient is that of the depth in metres, in the pixels whose mask would change
-        if the gradient were followed far enough: those that show the object and should not, and the reverse.
-        Without this condition, the depth of every pixel that is right would grow until its phase wraps.
+        *Of a predicted depth.* The gradient is that of the depth in metres, in the pixels whose mask would
+        change if the gradient were followed far enough: those that show the object and should not, and the
+        reverse. Without this condition, the depth of every pixel that is right would grow without bound.
         """
-        if self.mask_from == "depth":
+        if self.target == "depth":
             return self._mask_of_depth(self._depth_everywhere_m(output))
-        hard = (self.components(output).norm(dim=1) >= self.mask_threshold).to(output.dtype)  # (N, H, W)
-        return straight_through(hard, self.presence(output))
+        if self.mask_from == "depth":
+            shown = self._depth_everywhere_m(output.detach()) > self.mask_depth_m  # (N, H, W)
+        else:
+            shown = self.components(output).norm(dim=1) >= self.mask_threshold
+        return straight_through(shown.to(output.dtype), self.presence(output))
 
     def presence(self, output: Tensor) -> Tensor:
         """(N, H, W) amplitude of the output, clipped to [0, 1]: 1 on the true object, 0 elsewhere.
@@ -126,7 +132,7 @@ class Readout:
         """
         if self.mask_from == "depth":
             depth_m = self._depth_everywhere_m(output)
-            return straight_through(self._mask_of_depth(depth_m) * depth_m, depth_m)
+            return straight_through(depth_m * (depth_m > self.mask_depth_m), depth_m)
         mask = self.mask(output)  # (N, H, W)
         z = self.components(output)
         # Outside the mask the phase is not differentiated: near amplitude 0 its gradient diverges.
@@ -134,7 +140,7 @@ class Readout:
         return mask * self._depth_of_components_m(z)
 
     def _mask_of_depth(self, depth_m: Tensor) -> Tensor:
-        """(N, H, W) float mask of the depth before the threshold."""
+        """(N, H, W) float mask of a predicted depth before the threshold."""
         hard = (depth_m > self.mask_depth_m).to(depth_m.dtype)
         surrogate = depth_m.clone()
         if surrogate.requires_grad:
