@@ -22,6 +22,7 @@ from commandline.options import (
     DEVICE,
     FOLDER,
     FORCE,
+    FOV,
     ONLY,
     PRESET,
     RENDER_RUN,
@@ -262,6 +263,7 @@ night_eval.add_command(capture)
 @click.argument("run", type=FOLDER)
 @click.argument("measurement", metavar="INPUT", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Folder to write; an earlier prediction is replaced.")
+@FOV
 @RESCALE
 @FORCE
 @DEVICE

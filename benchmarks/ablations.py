@@ -112,7 +112,10 @@ def judged(
     feed = Feed(shards, rows, window_rows=0)
     metrics = []
     for block in feed.in_order(BATCH):
-        found = predictor.predict(change(block.complex_phasors()[..., places]))
+        found = predictor.predict(
+            change(block.complex_phasors()[..., places]),
+            fields_of_view_deg=shards.fields_of_view_deg(block.rows),
+        )
         images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
         metrics += [image_metrics(*image) for image in images]
     return summarise(metrics)

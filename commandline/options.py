@@ -233,6 +233,12 @@ MASK_FROM = click.option(
     type=click.Choice(["amplitude", "depth"]),
     help="What of the output says whether a pixel shows the object, instead of the run's.",
 )
+FOV = click.option(
+    "--fov",
+    "horizontal_fov_deg",
+    type=click.FloatRange(1, 170),
+    help="Horizontal field of view of the camera, degrees, instead of that of the training.",
+)
 RESCALE = click.option(
     "--rescale/--no-rescale",
     default=None,

@@ -29,6 +29,8 @@ def load_sensor(name_or_file: PathLike) -> SensorSettings:
 
 def view_problem(settings: SensorSettings, dataset: Dataset, width: int, height: int) -> str | None:
     """Why this camera cannot measure the images (W x H) of a dataset, as a sentence; None if it can."""
+    if dataset.preset.camera_spread.horizontal_fov_deg:
+        return f"the scenes of {dataset.root} have different fields of view, and a camera has one"
     fov_deg = dataset.preset.camera.horizontal_fov_deg
     if abs(fov_deg - settings.horizontal_fov_deg) > _SAME_DEG:
         return (

@@ -26,7 +26,8 @@ Location = tuple[Metres, Metres, Metres]
 Rotation = tuple[Degrees, Degrees, Degrees]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Roughness = Annotated[float, Field(gt=0, le=1)]
-FieldOfView = Annotated[float, Field(ge=1, le=170)]  # degrees
+MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0
+FieldOfView = Annotated[float, Field(ge=MIN_FOV_DEG, le=MAX_FOV_DEG)]  # degrees
 _MOST_CHARACTERS = 100  # of a value in a message
 
 

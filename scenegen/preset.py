@@ -14,6 +14,8 @@ from pydantic.dataclasses import dataclass
 from scipy.constants import speed_of_light
 
 from scenegen.contract import (
+    MAX_FOV_DEG,
+    MIN_FOV_DEG,
     STRICT,
     Degrees,
     Extent,
@@ -116,6 +118,8 @@ class HiddenObjectSettings:
 
     The fraction `composite_fraction` of the scenes has two different shapes; the second one is displaced by
     `composite_offset_m` (per axis) and turned by `composite_rotation_deg` (per angle) against the first.
+    If there is a `least_reflectance`, each scene draws one reflectance for all of its objects, evenly between
+    that and `reflectance`.
     """
 
     shapes: Annotated[tuple[Shape, ...], Field(min_length=1), AfterValidator(_distinct)] = PRIMITIVES
@@ -126,6 +130,7 @@ class HiddenObjectSettings:
     composite_rotation_deg: DegreeRange = (-45.0, 45.0)
     size_m: ShapeSizes = ShapeSizes()
     reflectance: Reflectance = 1.0
+    least_reflectance: Annotated[Reflectance | None, Field(exclude_if=lambda value: value is None)] = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -175,11 +180,14 @@ class CameraSpread:
     """Each scene has its camera elsewhere: a dataset of many corners.
 
     Every coordinate of `CameraSettings.location_m` is moved by up to `location_m`, and every angle of its
-    rotation by up to `rotation_deg`, either way and evenly distributed. The projector goes with the camera.
+    rotation by up to `rotation_deg`, either way and evenly distributed; so is its field of view, by up to
+    `horizontal_fov_deg`. The projector goes with the camera.
     """
 
     location_m: Annotated[float, Field(ge=0, le=100)] = 0.0
     rotation_deg: Annotated[float, Field(ge=0, le=90)] = 0.0
+    # Left out of files where it is 0, so that datasets without it keep their bytes.
+    horizontal_fov_deg: Annotated[float, Field(ge=0, le=90, exclude_if=lambda value: value == 0)] = 0.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -248,6 +256,18 @@ class Preset:
             raise ValueError(
                 "hidden_object.composite_fraction needs two different shapes to combine: "
                 "list a second shape or set it to 0"
+            )
+        fov_deg, spread_deg = self.camera.horizontal_fov_deg, self.camera_spread.horizontal_fov_deg
+        if spread_deg and not (fov_deg - spread_deg >= MIN_FOV_DEG and fov_deg + spread_deg <= MAX_FOV_DEG):
+            raise ValueError(
+                f"camera_spread.horizontal_fov_deg moves camera.horizontal_fov_deg = {fov_deg:g} out of "
+                f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees: got {spread_deg:g}"
+            )
+        least, most = self.hidden_object.least_reflectance, self.hidden_object.reflectance
+        if least is not None and least > most:
+            raise ValueError(
+                f"hidden_object.least_reflectance is {least:g}, above hidden_object.reflectance = "
+                f"{most:g}: it is the lower end of the range"
             )
         width, bins = self.camera.width, self.transient.bin_count
         if width * bins >= MAX_SCANLINE_VALUES:

@@ -34,6 +34,8 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
         parts.append(_sample_second(preset, first, rng))
     roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
     camera = _sample_camera(preset, rng)
+    reflectance = _sample_reflectance(preset, rng)
+    parts = [replace(part, reflectance=reflectance) for part in parts]
     wall = preset.relay_wall
     return Scene(
         index=index,
@@ -171,7 +173,7 @@ def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -
         size_m=settings.size_m.of(shape),
         location_m=_uniform(rng, (location.x, location.y, location.z)),
         rotation_deg=_uniform(rng, (rotation.x, rotation.y, rotation.z)),
-        reflectance=settings.reflectance,
+        reflectance=1.0,  # drawn last, for all objects of the scene
     )
 
 
@@ -181,11 +183,20 @@ def _sample_camera(preset: Preset, rng: np.random.Generator) -> Camera:
         return preset.camera
     spread, camera = preset.camera_spread, preset.camera
     moved, turned = (_uniform(rng, ((-by, by),) * 3) for by in (spread.location_m, spread.rotation_deg))
+    by_deg = spread.horizontal_fov_deg
+    wider_deg = by_deg * (2 * float(rng.random()) - 1) if by_deg else 0.0
     return replace(
         camera,
+        horizontal_fov_deg=camera.horizontal_fov_deg + wider_deg,
         location_m=_sum(camera.location_m, moved),
         rotation_deg=_sum(camera.rotation_deg, turned),
     )
+
+
+def _sample_reflectance(preset: Preset, rng: np.random.Generator) -> float:
+    """The reflectance of a scene's objects; nothing is drawn where all scenes have the same one."""
+    least, most = preset.hidden_object.least_reflectance, preset.hidden_object.reflectance
+    return most if least is None else least + (most - least) * float(rng.random())
 
 
 def _sample_second(preset: Preset, first: HiddenObject, rng: np.random.Generator) -> HiddenObject:
@@ -199,7 +210,7 @@ def _sample_second(preset: Preset, first: HiddenObject, rng: np.random.Generator
         size_m=settings.size_m.of(shape),
         location_m=_sum(first.location_m, offset),
         rotation_deg=_sum(first.rotation_deg, turn),
-        reflectance=settings.reflectance,
+        reflectance=first.reflectance,
     )
 
 

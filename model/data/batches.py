@@ -14,6 +14,7 @@ from itof.sensor.binned import BinnedCamera
 from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
+from model.data.scene_walls import SceneWalls
 from model.data.sensor_draws import SensorDraws
 from model.network.channels import InputSpec
 
@@ -48,12 +49,14 @@ class BatchMaker:
     places : indices of the network's frequencies in those of the shards.
     wall : the relay wall at the network's frequencies, with its direct return in complex64.
     camera : measures the images; None if the network sees them as rendered.
+    walls : the walls of the scenes, if these have different fields of view; None if all have `wall`.
     """
 
     inputs: InputSpec
     places: tuple[int, ...]
     wall: ExpectedWall
     camera: SensorDraws | None = None
+    walls: SceneWalls | None = None
 
     @classmethod
     def for_shards(
@@ -65,8 +68,11 @@ class BatchMaker:
         sensor: SensorSettings | None = None,
         *,
         sensor_capture: bool = False,
+        walls: SceneWalls | None = None,
     ) -> BatchMaker:
         """The maker for shards with these frequencies, Hz, that show this wall (numpy arrays).
+
+        `walls` are those of the scenes, at the network's frequencies, if these have different fields of view.
 
         Raises
         ------
@@ -75,9 +81,9 @@ class BatchMaker:
         places = tuple(inputs.places(frequencies_hz))
         seen = wall.at(places)
         seen = replace(seen, direct=seen.direct.astype(np.complex64))
-        here = seen.converted(lambda array: torch.from_numpy(array).to(device))
+        here = _on(device, seen)
         if sensor is None:
-            return cls(inputs, places, here)
+            return cls(inputs, places, here, walls=walls)
         height, width = seen.direct.shape[:2]
         camera = BinnedCamera(sensor, inputs.frequencies_hz, width, height)
         return cls(inputs, places, here, SensorDraws(camera, here.direct if sensor_capture else None))
@@ -126,10 +132,12 @@ class BatchMaker:
         """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
         shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
-        for start in _starts(rows):
-            some = slice(start, start + _IMAGES_AT_ONCE)
+        at_once = 1 if self.walls else _IMAGES_AT_ONCE
+        for start in _starts(rows, at_once):
+            some = slice(start, start + at_once)
             measured = self.measured(replace(rows, phasors=rows.phasors[some]))
-            found[some] = self.inputs.reference_of_image(measured, self.wall)
+            wall = _on(found.device, self.walls.of(rows.rows[start])) if self.walls else self.wall
+            found[some] = self.inputs.reference_of_image(measured, wall)
         return found
 
     def reference(self, phasor: Tensor) -> Tensor | None:
@@ -162,6 +170,10 @@ class BatchMaker:
         )
 
 
-def _starts(rows: RowBlock) -> range:
+def _starts(rows: RowBlock, at_once: int = _IMAGES_AT_ONCE) -> range:
     """Numbers of the first images of the parts that are computed at once."""
-    return range(0, len(rows), _IMAGES_AT_ONCE)
+    return range(0, len(rows), at_once)
+
+
+def _on(device: torch.device, wall: ExpectedWall) -> ExpectedWall:
+    return wall.converted(lambda array: torch.from_numpy(array).to(device))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from itof import amplitude, residual_channels
 from itof.wall.expected_wall import ExpectedWall
 from model.data.order import rows_by_piece
+from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.network.channels import ChannelError, InputSpec
 from model.network.wall_view import WallView
@@ -59,8 +60,10 @@ def fit_input_spec(
     if unscaled.self_calibrates and view is None:
         raise ValueError(f"the reference {reference} needs the camera and the wall: give view")
     wall = view.expected_wall(direct, chosen) if view and unscaled.self_calibrates else None
+    walls_of_scenes = SceneWalls.of_shards(view, shards, chosen) if view and wall else None
     amplitudes, brightest, means, squares, walls = [], 0.0, [], [], []
-    for phasor in _phasors(shards, rows):
+    for row, phasor in _phasors(shards, rows):
+        wall = walls_of_scenes.of(row) if walls_of_scenes else wall
         first = amplitude(phasor[..., places[0]])  # (H, W)
         amplitudes.append(first.mean())
         brightest = max(brightest, float(first.max()))
@@ -112,9 +115,9 @@ def _shift_m(inverse_distance_per_m: NDArray[np.float64], wall: ExpectedWall) ->
     return float(np.abs(1 / inverse_distance_per_m[ahead] - wall.radial_depth_m[ahead]).mean())
 
 
-def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[NDArray[np.complex128]]:
-    """(H, W, F) phasors of the scenes, one after another."""
+def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[int, NDArray[np.complex128]]]:
+    """Each row with the (H, W, F) phasors of its scene."""
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
         block = shards.read(piece)
         for row in piece:
-            yield block.take([row]).complex_phasors()[0]
+            yield row, block.take([row]).complex_phasors()[0]

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from model.data.pieces import PieceRecord
 from model.data.rows import RowLayout
 from scenegen import SceneEntry, write_text
-from scenegen.contract import STRICT, WholeCount
+from scenegen.contract import STRICT, FieldOfView, WholeCount
 from scenegen.preset import Preset
 
 SHARD_SCHEMA: Final = 2
@@ -32,6 +32,8 @@ class ShardManifest:
     scenes_per_piece : rows of a piece; the last piece may have fewer.
     pieces : records of the pieces, in the order of the rows.
     reference_sha256 : hash of ``reference.npy``.
+    fields_of_view_deg : full horizontal field of view of the scene in each row, degrees; empty if all have
+        that of the preset.
     """
 
     frequencies_hz: tuple[float, ...]
@@ -43,6 +45,11 @@ class ShardManifest:
     pieces: tuple[PieceRecord, ...]
     reference_sha256: str
     schema_version: Literal[2] = SHARD_SCHEMA
+    fields_of_view_deg: Annotated[tuple[FieldOfView, ...], Field(exclude_if=lambda value: not value)] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.fields_of_view_deg) not in (0, len(self.scenes)):
+            raise ValueError(f"{len(self.scenes)} scenes have {len(self.fields_of_view_deg)} fields of view")
 
     @property
     def layout(self) -> RowLayout:

@@ -70,6 +70,7 @@ def update_shards(
         scenes_per_piece=scenes_per_piece(layout),
         pieces=tuple(_record(folder / piece.name) for piece in pieces),
         reference_sha256=_update_reference(dataset, folder, layout, before, hashes),
+        fields_of_view_deg=_fields_of_view_deg(dataset),
     )
     if rebuilt or manifest != before:
         write_manifest(folder, manifest)
@@ -131,6 +132,13 @@ def _update_pieces(
     for piece in stale:
         why_stale(folder / piece.name, piece, hashes)  # hashes the new files while the disk cache has them
     return True
+
+
+def _fields_of_view_deg(dataset: Dataset) -> tuple[float, ...]:
+    """Of every scene, if they differ."""
+    if not dataset.preset.camera_spread.horizontal_fov_deg:
+        return ()
+    return tuple(dataset.scene(scene).camera.horizontal_fov_deg for scene in dataset.ids())
 
 
 def _record(piece: Path) -> PieceRecord:

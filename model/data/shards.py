@@ -52,6 +52,11 @@ class Shards:
         """Scene ids of rows."""
         return [self.manifest.scenes[row].id for row in rows]
 
+    def fields_of_view_deg(self, rows: Sequence[int]) -> list[float]:
+        """Full horizontal fields of view of rows, degrees; empty if all scenes have that of the preset."""
+        known = self.manifest.fields_of_view_deg
+        return [known[row] for row in rows] if known else []
+
     def read(self, rows: Sequence[int]) -> RowBlock:
         """Read rows from disk, piece by piece, and each piece in file order.
 

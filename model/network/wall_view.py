@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,10 @@ class WallView:
             wall_point_m=wall.location_m,
             wall_normal=_vector(wall_normal(wall)),
         )
+
+    def with_fov(self, horizontal_fov_deg: float) -> WallView:
+        """The same camera and wall with another field of view, degrees."""
+        return replace(self, horizontal_fov_deg=horizontal_fov_deg)
 
     def direct_phasors(
         self, width: int, height: int, frequencies_hz: Sequence[float]

@@ -24,12 +24,14 @@ from model.prediction.wall_figure import wall_figure
 from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
 from scenegen import NightError, PathLike, whole_folder, write_text
+from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
 from scenegen.files.own_files import hashes_of, refuse_other_files
 from scenegen.progress import showing_progress
 
-# 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`.
-PREDICTION_SCHEMA: Final = 4
-_KNOWN_SCHEMAS: Final = (1, 2, 3, 4)  # of earlier predictions, which are replaced
+# 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view.
+PREDICTION_SCHEMA: Final = 5
+_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5)  # of earlier predictions, which are replaced
+_SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
 
 
@@ -106,6 +108,7 @@ def predict_file(
     out: PathLike,
     *,
     rescale: bool | None = None,
+    horizontal_fov_deg: float | None = None,
     force: bool = False,
     device: DeviceName = "auto",
     progress: bool = True,
@@ -127,20 +130,25 @@ def predict_file(
     ----------
     run : run folder of the trained network, or the name of one that comes with the program.
     rescale : as in `Predictor.predict`; None rescales unless the file is in the unit of rendered scenes.
+    horizontal_fov_deg : full field of view of the camera, 1 to 170 degrees; None for that of the training.
     force : predict also from a measurement that is not that of the run's relay wall.
 
     Raises
     ------
     ImplausibleError : the light in the file is not that of the run's relay wall: no wall, a wrong sign, order
-        or axis, another pose, an uncalibrated camera. Not with `force`.
-    MeasurementError : the file cannot be read, or the run was trained for another image size or for
-        frequencies that the file lacks.
+        or axis, another pose, an uncalibrated camera; or the training had other fields of view. Not with
+        `force`.
+    MeasurementError : the file cannot be read, `horizontal_fov_deg` is no field of view, or the run was
+        trained for another image size or for frequencies that the file lacks.
     PredictionError : `out` contains anything but an earlier prediction.
     RunError, DeviceError : the run or the device cannot be used.
     """
     run, measurement_file, out = run_folder(run), Path(measurement_file), Path(out).resolve()
     _refuse_other_contents(out)
     predictor = load(run, device)
+    if horizontal_fov_deg is not None:
+        _refuse_other_view(predictor, horizontal_fov_deg, run, force)
+        predictor = predictor.at(predictor.config.geometry.with_fov(horizontal_fov_deg))
     measured = fitting_measurement(predictor, measurement_file, run)
     chosen = not measured.in_training_unit if rescale is None else rescale
     check = check_measured(predictor, measured, rescale=chosen, thorough=force, progress=progress)
@@ -157,6 +165,7 @@ def predict_file(
             "run": str(run.resolve()),
             "measurement": str(measurement_file.resolve()),
             "rescaled": chosen,
+            "horizontal_fov_deg": predictor.config.geometry.horizontal_fov_deg,
             "reference": "computed" if measured.reference is None else "measured",
             "reference_wall": None if wall is None else wall.as_data(),
             "ignored": measured.ignored,
@@ -168,6 +177,23 @@ def predict_file(
         write_text(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
         _refuse_other_contents(out)  # which may have got other files meanwhile
     return FilePrediction(images, check, wall)
+
+
+def _refuse_other_view(predictor: Predictor, horizontal_fov_deg: float, run: Path, force: bool) -> None:
+    """Refuse a camera that cannot be, and one whose field of view the training has not seen."""
+    if not MIN_FOV_DEG <= horizontal_fov_deg <= MAX_FOV_DEG:
+        raise MeasurementError(
+            f"no camera sees {horizontal_fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to "
+            f"{MAX_FOV_DEG:g}"
+        )
+    least_deg, most_deg = predictor.config.trained_views_deg
+    if least_deg - _SAME_DEG <= horizontal_fov_deg <= most_deg + _SAME_DEG or force:
+        return
+    seen = f"{least_deg:.4g}" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g}"
+    raise ImplausibleError(
+        f"{run} was trained for a field of view of {seen} degrees, not for {horizontal_fov_deg:g}; with "
+        "--force (force=True) it predicts all the same"
+    )
 
 
 def _predict_all(

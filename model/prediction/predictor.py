@@ -75,7 +75,12 @@ class Predictor:
         return expected_mae_m(prediction) if self.config.settings.predicts_probability else None
 
     def predict(
-        self, phasors: ArrayLike, reference: ArrayLike | None = None, *, rescale: bool = False
+        self,
+        phasors: ArrayLike,
+        reference: ArrayLike | None = None,
+        *,
+        rescale: bool = False,
+        fields_of_view_deg: Sequence[float] = (),
     ) -> DepthMap:
         """Depth maps of measurements: the mirror image of the hidden object in the relay wall.
 
@@ -89,6 +94,8 @@ class Predictor:
             the wall is taken to be (`itof.wall.empty_corner.captured_wall`).
         rescale : multiply each image so that its mean amplitude at the first frequency is the mean of the
             training scenes. Use it if the phasors have another unit than the training scenes.
+        fields_of_view_deg : N full horizontal fields of view, if the images have different ones; by default
+            all have that of the camera of the run (`at` changes it). Not with a reference.
 
         Returns
         -------
@@ -99,18 +106,25 @@ class Predictor:
         Raises
         ------
         InputError : the run needs a measured reference, shape or number of frequencies differ from the
-            training, a value is not finite, or an image without light is to be rescaled.
+            training, a value is not finite, an image without light is to be rescaled, or there is another
+            number of fields of view.
         RunError : the output of the network is not finite.
         """
         z = np.asarray(phasors)
         self._refuse_other_images(z)
-        wall = self._wall(reference)
         images = z if z.ndim == 4 else z[None]
+        if fields_of_view_deg:
+            self._refuse_fields_of_view(fields_of_view_deg, len(images), reference)
+        wall = None if fields_of_view_deg else self._wall(reference)
         if rescale:
             images = images * self._gain(images)
         parts = [
-            self._predict_some(self._channels(images[start : start + BATCH], wall))
-            for start in range(0, len(images), BATCH)
+            self._predict_some(
+                self._channels_of_views(images[some], fields_of_view_deg[some])
+                if fields_of_view_deg
+                else self._channels(images[some], wall)
+            )
+            for some in (slice(start, start + BATCH) for start in range(0, len(images), BATCH))
         ]
         predicted = _joined(parts)
         return predicted[0] if z.ndim == 3 else predicted
@@ -156,6 +170,25 @@ class Predictor:
     def _moves_wall(self, reference: NDArray[np.generic]) -> bool:
         """Whether the place of the wall is taken from a reference, which may also be the computed return."""
         return self.config.inputs.self_calibrates and not np.array_equal(reference, self.reference)
+
+    @staticmethod
+    def _refuse_fields_of_view(
+        fields_of_view_deg: Sequence[float], count: int, reference: ArrayLike | None
+    ) -> None:
+        if reference is not None:
+            raise InputError("a reference is that of one camera: give it without fields_of_view_deg")
+        if len(fields_of_view_deg) != count:
+            raise InputError(
+                f"{count} images have {len(fields_of_view_deg)} fields_of_view_deg: give one each"
+            )
+
+    def _channels_of_views(
+        self, images: NDArray[np.generic], fields_of_view_deg: Sequence[float]
+    ) -> NDArray[np.float32]:
+        """Channels of images with a field of view each."""
+        seen = [self.at(self.config.geometry.with_fov(fov_deg)) for fov_deg in fields_of_view_deg]
+        pairs = zip(seen, images, strict=True)
+        return np.concatenate([one._channels(image[None], one._wall(None)) for one, image in pairs])
 
     def _channels(self, images: NDArray[np.generic], wall: ExpectedWall | None) -> NDArray[np.float32]:
         with np.errstate(over="ignore", invalid="ignore"):  # the check below finds overflows

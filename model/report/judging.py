@@ -49,11 +49,6 @@ class Bench:
     progress: bool
 
     @property
-    def fov_deg(self) -> float:
-        """Full horizontal field of view of the camera, degrees."""
-        return self.dataset.preset.camera.horizontal_fov_deg
-
-    @property
     def thresholds(self) -> tuple[float, ...]:
         """Mask thresholds of the calibration: the sweep, the run's own and the one in use."""
         return (*SWEEP, self.predictor.config.readout.mask_threshold, self.readout.mask_threshold)
@@ -70,8 +65,11 @@ class Bench:
     def predict(self, block: RowBlock) -> DepthMap:
         """Predictions of rows, from the frequencies of the training."""
         used = self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
+        fields_of_view_deg = self.shards.fields_of_view_deg(block.rows)
         prediction = self.predictor.predict(
-            block.complex_phasors()[..., used], self.shards.reference[..., used]
+            block.complex_phasors()[..., used],
+            None if fields_of_view_deg else self.shards.reference[..., used],
+            fields_of_view_deg=fields_of_view_deg,
         )
         if self.readout == self.predictor.config.readout:
             return prediction
@@ -93,16 +91,15 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
         sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
         reliability.add(predictions.phasor, block.mask)
         depth_reliability.add(predictions, block.radial_depth_m, block.mask)
-        for index, scene in enumerate(bench.shards.ids(block.rows)):
+        for index, name in enumerate(bench.shards.ids(block.rows)):
+            scene = bench.dataset.scene(name)
             truth_m, mask = block.radial_depth_m[index], block.mask[index]
-            prediction = predictions[index]
-            result = judge_scene(
-                *(bench.dataset.scene(scene), prediction, truth_m, mask), has_probability=has_probability
-            )
+            prediction, fov_deg = predictions[index], scene.camera.horizontal_fov_deg
+            result = judge_scene(scene, prediction, truth_m, mask, has_probability=has_probability)
             results.append(result)
-            points_gt_m = object_points(truth_m, mask, bench.fov_deg)
-            points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, bench.fov_deg)
-            _write_clouds(clouds, scene, points_gt_m, points_pred_m)
+            points_gt_m = object_points(truth_m, mask, fov_deg)
+            points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, fov_deg)
+            _write_clouds(clouds, name, points_gt_m, points_pred_m)
     if not results:
         raise nothing_rendered(bench.dataset, split)
     location = bench.dataset.preset.hidden_object.location_m
@@ -137,14 +134,15 @@ def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> list[ShownS
         block = bench.shards.read([rows[result.scene]])
         prediction = bench.predict(block)[0]
         truth_m, mask = block.radial_depth_m[0], block.mask[0] > 0
+        fov_deg = bench.dataset.scene(result.scene).camera.horizontal_fov_deg
         shown.append(
             ShownScene(
                 rank,
                 result,
                 DepthMap(truth_m, mask, _true_phasor(bench, block), bench.readout.frequency_hz),
                 prediction,
-                object_points(truth_m, mask, bench.fov_deg),
-                object_points(prediction.radial_depth_m, prediction.mask, bench.fov_deg),
+                object_points(truth_m, mask, fov_deg),
+                object_points(prediction.radial_depth_m, prediction.mask, fov_deg),
             )
         )
     return shown

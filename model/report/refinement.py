@@ -129,7 +129,8 @@ def _family(dataset: Dataset, objects: Preset | None, fitted: Sequence[Unknown])
             f"{dataset.root if objects is None else 'the preset of the objects'} has none of the shapes that "
             f"can be fitted: {', '.join(KIND_OF_SHAPE)}"
         )
-    return Family(known, "sizes" in fitted, None if "reflectance" in fitted else hidden.reflectance)
+    is_known = "reflectance" not in fitted and hidden.least_reflectance is None
+    return Family(known, "sizes" in fitted, hidden.reflectance if is_known else None)
 
 
 def _prepare(out: Path, recipe: Recipe) -> None:

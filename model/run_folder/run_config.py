@@ -24,7 +24,7 @@ from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, 
 from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings import MAY_CHANGE_ON_RESUME, NETWORK_SETTINGS, READOUT_SETTINGS, TrainSettings
 from scenegen import NightError, PathLike, whole_file
-from scenegen.contract import STRICT, Positive, checked
+from scenegen.contract import STRICT, FieldOfView, Positive, checked
 
 RUN_SCHEMA: Final = 3
 LABELLED_SINCE: Final = 3  # schema version from which on files contain their checksum
@@ -93,6 +93,8 @@ class RunConfig:
     object_depth_m : mean and standard deviation of the object's radial depth in the training scenes, metres,
         constants of the output for `settings.target` ``mask+depth``; None otherwise.
     started_from : the network that the training started from; None if from random weights.
+    fields_of_view_deg : smallest and largest horizontal field of view of the scenes, degrees; None if all
+        have that of `geometry`.
 
     Raises
     ------
@@ -115,12 +117,21 @@ class RunConfig:
         None
     )
     started_from: Annotated[StartingWeights | None, Field(exclude_if=lambda value: value is None)] = None
+    fields_of_view_deg: Annotated[
+        tuple[FieldOfView, FieldOfView] | None, Field(exclude_if=lambda value: value is None)
+    ] = None
 
     def __post_init__(self) -> None:
         if self.settings.balance == "dataset" and self.background_per_object is None:
             raise ValueError("the balance dataset needs background_per_object")
         if self.settings.predicts_probability and self.object_depth_m is None:
             raise ValueError("the target mask+depth needs object_depth_m")
+
+    @property
+    def trained_views_deg(self) -> tuple[float, float]:
+        """Smallest and largest horizontal field of view of the training, degrees."""
+        one_deg = self.geometry.horizontal_fov_deg
+        return self.fields_of_view_deg or (one_deg, one_deg)
 
     @property
     def readout(self) -> Readout:

@@ -190,6 +190,7 @@ def _configure(
     problem = many_corners_problem(dataset, inputs)
     if problem:
         raise TrainingError(problem)
+    views_deg = manifest.fields_of_view_deg
     config = RunConfig(
         settings=settings,
         inputs=inputs,
@@ -203,6 +204,7 @@ def _configure(
         background_per_object=ratio if settings.balance == "dataset" else None,
         object_depth_m=depth_m if settings.predicts_probability else None,
         started_from=before.started_from if before else start.origin if start else None,
+        fields_of_view_deg=(min(views_deg), max(views_deg)) if views_deg else None,
     )
     return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from model.data.batches import BatchMaker
 from model.data.feed import Feed, window_rows
+from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.run_folder.history import HISTORY_FILE, EpochRecord, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
@@ -72,6 +73,7 @@ class TrainingState:
         self.maker = BatchMaker.for_shards(
             *(config.inputs, frequencies_hz, wall, device, settings.sensor),
             sensor_capture=settings.sensor_capture,
+            walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
         )
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
         steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
