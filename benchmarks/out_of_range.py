@@ -2,8 +2,8 @@
 
 Each row is a small dataset with one change against the preset `paper`, made and rendered at the network's
 image size and judged as any other. The wall that stands elsewhere really does: the object's mirror image
-moves along, and the network is not told. The meshes are made here: an armchair, an L, and two balls apart
-from each other. Noise is Gaussian in each component, relative to the amplitude at the first frequency.
+moves along, and the network is not told. The meshes are made here: an armchair, an L, a rabbit of ellipsoids,
+and two balls apart from each other. A box of a person's size stands upright in the hidden region. Noise is Gaussian in each component, relative to the amplitude at the first frequency.
 Datasets stay in --out, so that an interrupted table continues.
 
 Run:
@@ -71,7 +71,16 @@ ROWS = (
     Row("light of up to six bounces", "six", options=("--max-bounces", "6")),
     *(
         Row(words, name, f'[hidden_object]\nshapes = ["mesh:{name}.ply"]\ncomposite_fraction = 0')
-        for name, words in (("armchair", "an armchair"), ("letter", "a letter L"), ("balls", "two balls"))
+        for name, words in (
+            *(("armchair", "an armchair"), ("letter", "a letter L")),
+            *(("rabbit", "a rabbit"), ("balls", "two balls")),
+        )
+    ),
+    Row(
+        *("a box of a person's size, standing", "person"),
+        '[hidden_object]\nshapes = ["parallelepiped"]\ncomposite_fraction = 0\n'
+        "location_m = { z = [0.95, 1.05] }\nrotation_deg = { x = [0, 0], y = [0, 0] }\n"
+        "[hidden_object.size_m]\nparallelepiped = [0.25, 0.45, 1.7]",
     ),
 )
 
@@ -126,6 +135,9 @@ def meshes() -> dict[str, trimesh.Trimesh]:
     def box(size: tuple[float, float, float], centre: tuple[float, float, float]) -> trimesh.Trimesh:
         return trimesh.creation.box(size, trimesh.transformations.translation_matrix(centre))
 
+    def ellipsoid(radii: tuple[float, float, float], centre: tuple[float, float, float]) -> trimesh.Trimesh:
+        return trimesh.creation.icosphere(3).apply_scale(radii).apply_translation(centre)
+
     armchair = [
         box((0.7, 0.7, 0.35), (0, 0, 0.175)),
         box((0.7, 0.15, 0.5), (0, 0.275, 0.6)),
@@ -134,7 +146,13 @@ def meshes() -> dict[str, trimesh.Trimesh]:
     ]
     letter = [box((0.2, 0.2, 0.9), (0, 0, 0.45)), box((0.4, 0.2, 0.2), (0.3, 0, 0.1))]
     balls = [trimesh.creation.icosphere(3, 0.15).apply_translation((x, 0, 0)) for x in (-0.3, 0.3)]
-    parts = {"armchair": armchair, "letter": letter, "balls": balls}
+    rabbit = [
+        ellipsoid((0.2, 0.28, 0.22), (0, 0, 0.22)),
+        ellipsoid((0.13, 0.15, 0.13), (0, -0.25, 0.47)),
+        *(ellipsoid((0.035, 0.05, 0.17), (x, -0.2, 0.68)) for x in (-0.06, 0.06)),
+        *(ellipsoid((0.08, 0.16, 0.06), (x, -0.18, 0.06)) for x in (-0.13, 0.13)),
+    ]
+    parts = {"armchair": armchair, "letter": letter, "rabbit": rabbit, "balls": balls}
     return {name: trimesh.util.concatenate(some) for name, some in parts.items()}
 
 
