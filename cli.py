@@ -268,7 +268,14 @@ night_eval.add_command(capture)
 @FORCE
 @DEVICE
 @JSON
-def predict(run: Path, measurement: Path, out: Path, as_json: bool, **options: Any) -> None:
+def predict(
+    run: Path,
+    measurement: Path,
+    out: Path,
+    horizontal_fov_deg: float | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
     """Predict depth maps from the measurements in INPUT by the network of RUN.
 
     INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
@@ -276,9 +283,11 @@ def predict(run: Path, measurement: Path, out: Path, as_json: bool, **options: A
     image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY point cloud.
     """
     import model
+    from model.capture.record import imported_fov_deg
 
     record = out.resolve() / "prediction.json"
-    done = model.predict_file(run, measurement, out, **options)
+    fov_deg = horizontal_fov_deg or imported_fov_deg(measurement)
+    done = model.predict_file(run, measurement, out, horizontal_fov_deg=fov_deg, **options)
     for warning in done.check.warnings:
         say(f"warning: {warning}")
     where = f"depth maps, pictures and point clouds in {out}"

@@ -3,8 +3,9 @@
 Each row is a small dataset with one change against the preset `paper`, made and rendered at the network's
 image size and judged as any other. The wall that stands elsewhere really does: the object's mirror image
 moves along, and the network is not told. The meshes are made here: an armchair, an L, a rabbit of ellipsoids,
-and two balls apart from each other. A box of a person's size stands upright in the hidden region. Noise is Gaussian in each component, relative to the amplitude at the first frequency.
-Datasets stay in --out, so that an interrupted table continues.
+and two balls apart from each other. A box of a person's size stands upright in the hidden region. Noise is
+Gaussian in each component, relative to the amplitude at the first frequency. Datasets stay in --out, so that
+an interrupted table continues.
 
 Run:
 

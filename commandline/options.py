@@ -237,7 +237,8 @@ FOV = click.option(
     "--fov",
     "horizontal_fov_deg",
     type=click.FloatRange(1, 170),
-    help="Horizontal field of view of the camera, degrees, instead of that of the training.",
+    help="Horizontal field of view of the camera, degrees. By default that of an imported capture, else that "
+    "of the training.",
 )
 RESCALE = click.option(
     "--rescale/--no-rescale",

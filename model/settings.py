@@ -63,7 +63,7 @@ class TrainSettings:
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
-    """Network input. With paper alone the network learns little (docs/design.md). residual+wall also says
+    """Network input. With paper alone the network learns slowly (docs/results.md). residual+wall also says
     where the wall of each image is, for datasets of many corners; it needs reference self."""
     reference: Reference = "geometry"
     """Direct return in the residual channels: computed from camera and wall, or a capture of the empty corner

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from captures import steps, taps_of, write_sidecar
 from night_commands import night_here, refusal
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import FLIP, assert_same_end, settings, train_on_one_thread
 
 from itof import direct_phasors, pixel_rays, read_image
+from model.capture.importing import import_capture
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
 from model.data.scene_walls import SceneWalls
@@ -191,9 +193,28 @@ def test_predictions_know_the_field_of_view_and_refuse_those_that_the_training_h
     np.testing.assert_allclose(rays @ plane, truth, atol=5e-3)
     sentence = refusal(*command, "--out", tmp_path / "x", "--fov", 75)
     assert "was trained for a field of view of " in sentence
-    assert "not for 75; with --force" in sentence
+    assert "not for 75: cut it out of the image" in sentence
     assert "no camera sees nan degrees" in refusal(*command, "--out", tmp_path / "x", "--fov", "nan")
     assert not (tmp_path / "x").exists()
+
+
+def test_an_imported_capture_brings_its_field_of_view(views, run, tmp_path):
+    scene = views.ids("train")[0]
+    z = read_image(views.render_folder(scene) / "itof.exr").phasors()[0]
+    np.savez(tmp_path / "frames.npz", raw=taps_of(z, steps(4), steps(2))[None])
+    fov_deg = views.scene(scene).camera.horizontal_fov_deg
+    for seen_deg in (fov_deg, 80.0):
+        sidecar = write_sidecar(tmp_path / "sidecar.toml", horizontal_fov_deg=seen_deg)
+        import_capture(tmp_path / "frames.npz", sidecar, tmp_path / f"{seen_deg:g}.npz", progress=False)
+    out = ("--out", tmp_path / "out", "--device", "cpu")
+    done = night_here("night-eval", "predict", run, tmp_path / f"{fov_deg:g}.npz", *out)
+    assert done.returncode == 0, done.stderr
+    record = json.loads((tmp_path / "out" / "prediction.json").read_text())
+    assert record["horizontal_fov_deg"] == pytest.approx(fov_deg, abs=1e-6)
+    assert "not for 80: cut it out" in refusal("night-eval", "predict", run, tmp_path / "80.npz", *out)
+    # What is said counts more than what is recorded.
+    done = night_here("night-eval", "predict", run, tmp_path / "80.npz", *out, "--fov", fov_deg)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_modelled_camera_has_one_field_of_view(views):

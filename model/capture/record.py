@@ -77,6 +77,12 @@ def read_import_record(measurement: Path) -> ImportRecord | None:
     return record if record.measurement_sha256 == sha256_of(measurement) else None
 
 
+def imported_fov_deg(measurement: Path) -> float | None:
+    """Horizontal field of view of the images in a measurement file, degrees; None without a record of it."""
+    record = read_import_record(measurement)
+    return None if record is None else record.facts.horizontal_fov_deg
+
+
 def refuse_foreign(measurement: Path) -> None:
     """Refuse to replace files that no import has written.
 

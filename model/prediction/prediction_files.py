@@ -191,8 +191,9 @@ def _refuse_other_view(predictor: Predictor, horizontal_fov_deg: float, run: Pat
         return
     seen = f"{least_deg:.4g}" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g}"
     raise ImplausibleError(
-        f"{run} was trained for a field of view of {seen} degrees, not for {horizontal_fov_deg:g}; with "
-        "--force (force=True) it predicts all the same"
+        f"{run} was trained for a field of view of {seen} degrees, not for {horizontal_fov_deg:.4g}: cut it "
+        "out of the image (capture import --fov), or use another network; with --force (force=True) it "
+        "predicts all the same"
     )
 
 
