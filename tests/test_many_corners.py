@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 from night_commands import night_here, refusal
+from spread_cameras import SHOWN, inverse_distance_per_m, preset, preset_text
 from synthetic_dataset import write_synthetic_dataset
-from training_runs import FLIP, assert_same_end, config_of, settings, train_on_one_thread
+from training_runs import assert_same_end, config_of, settings, train_on_one_thread
 
-from itof import direct_phasors, pixel_rays, read_image
+from itof import direct_phasors, read_image
 from model.data.augmentation import Augmentation, Draws
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
@@ -23,11 +24,9 @@ from model.run_folder.run_config import read_config
 from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.refusals import TrainingError
-from scenegen import camera_axes, open_dataset, preset_from_dict, sample_scene, scene_to_json, wall_normal
+from scenegen import camera_axes, open_dataset, sample_scene, scene_to_json, wall_normal
 
 SPREAD = {"location_m": 0.2, "rotation_deg": 4.0}
-SHOWN = FLIP | {"channels": "residual+wall", "reference": "self", "width": 4, "batch_size": 4, "block": 2}
-SHOWN |= {"target": "mask+depth", "loss": "bce+iou+depth", "noise_sigma": 0.0}
 PRESET = """
 [dataset]
 count = 4
@@ -54,18 +53,6 @@ def corners(tmp_path_factory):
 def run(corners, tmp_path_factory):
     out = tmp_path_factory.mktemp("shown") / "run"
     return train_on_one_thread(corners, out, **SHOWN | {"max_epochs": 2})
-
-
-def preset(**tables):
-    return preset_from_dict({"dataset": {"seed": 5}, **tables}, "test")
-
-
-def inverse_distance_per_m(scene, height, width):
-    """(H, W) inverse of the wall's distance along the rays of a scene's camera."""
-    rays = pixel_rays(width, height, scene.camera.horizontal_fov_deg) @ camera_axes(scene.camera)
-    normal = wall_normal(scene.relay_wall)
-    gap_m = (np.array(scene.relay_wall.location_m) - scene.camera.location_m) @ normal
-    return rays @ normal / gap_m
 
 
 def test_cameras_are_spread_evenly_about_that_of_the_preset_and_carry_the_projector():
@@ -111,10 +98,7 @@ def test_the_objects_are_those_of_the_dataset_without_spread():
 )
 def test_spreads_that_cannot_be_are_refused(tables, words, tmp_path):
     file = tmp_path / "p.toml"
-    lines = [
-        f"[{table}]\n" + "\n".join(f"{k} = {v}" for k, v in keys.items()) for table, keys in tables.items()
-    ]
-    file.write_text("\n".join(lines))
+    file.write_text(preset_text(**tables))
     assert words in refusal("night-gen", "scenes", tmp_path / "data", "--preset", file)
 
 

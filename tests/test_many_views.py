@@ -8,8 +8,9 @@ import pytest
 import torch
 from captures import steps, taps_of, write_sidecar
 from night_commands import night_here, refusal
+from spread_cameras import SHOWN, inverse_distance_per_m, preset, preset_text
 from synthetic_dataset import write_synthetic_dataset
-from training_runs import FLIP, assert_same_end, settings, train_on_one_thread
+from training_runs import assert_same_end, settings, train_on_one_thread
 
 from itof import direct_phasors, pixel_rays, read_image
 from model.capture.importing import import_capture
@@ -23,11 +24,9 @@ from model.report.evaluation import evaluate
 from model.run_folder.run_config import read_config
 from model.sensors import load_sensor, view_problem
 from model.training.loop import train
-from scenegen import camera_axes, open_dataset, preset_from_dict, sample_scene, scene_to_json, wall_normal
+from scenegen import camera_axes, open_dataset, sample_scene, scene_to_json, wall_normal
 
 SPREAD = {"location_m": 0.1, "rotation_deg": 2.0, "horizontal_fov_deg": 8.0}
-SHOWN = FLIP | {"channels": "residual+wall", "reference": "self", "width": 4, "batch_size": 4, "block": 2}
-SHOWN |= {"target": "mask+depth", "loss": "bce+iou+depth", "noise_sigma": 0.0}
 PRESET = """
 [dataset]
 count = 3
@@ -55,18 +54,6 @@ def views(tmp_path_factory):
 def run(views, tmp_path_factory):
     out = tmp_path_factory.mktemp("seen") / "run"
     return train_on_one_thread(views, out, **SHOWN | {"max_epochs": 2})
-
-
-def preset(**tables):
-    return preset_from_dict({"dataset": {"seed": 5}, **tables}, "test")
-
-
-def inverse_distance_per_m(scene, height, width):
-    """(H, W) inverse of the wall's distance along the rays of a scene's camera."""
-    rays = pixel_rays(width, height, scene.camera.horizontal_fov_deg) @ camera_axes(scene.camera)
-    normal = wall_normal(scene.relay_wall)
-    gap_m = (np.array(scene.relay_wall.location_m) - scene.camera.location_m) @ normal
-    return rays @ normal / gap_m
 
 
 def maker_and_rows(dataset, rows):
@@ -126,10 +113,7 @@ def test_each_scene_draws_one_reflectance_for_all_of_its_objects():
 )
 def test_views_and_reflectances_that_cannot_be_are_refused(tables, words, tmp_path):
     file = tmp_path / "p.toml"
-    lines = [
-        f"[{table}]\n" + "\n".join(f"{k} = {v}" for k, v in keys.items()) for table, keys in tables.items()
-    ]
-    file.write_text("\n".join(lines))
+    file.write_text(preset_text(**tables))
     assert words in refusal("night-gen", "scenes", tmp_path / "data", "--preset", file)
 
 
