@@ -196,6 +196,9 @@ def test_an_imported_capture_brings_its_field_of_view(views, run, tmp_path):
     record = json.loads((tmp_path / "out" / "prediction.json").read_text())
     assert record["horizontal_fov_deg"] == pytest.approx(fov_deg, abs=1e-6)
     assert "not for 80: cut it out" in refusal("night-eval", "predict", run, tmp_path / "80.npz", *out)
+    (tmp_path / "80.npz").rename(tmp_path / "moved.npz")
+    assert "80.npz" in refusal("night-eval", "predict", run, tmp_path / "80.npz", *out)
+    (tmp_path / "moved.npz").rename(tmp_path / "80.npz")
     # What is said counts more than what is recorded.
     done = night_here("night-eval", "predict", run, tmp_path / "80.npz", *out, "--fov", fov_deg)
     assert done.returncode == 0, done.stderr

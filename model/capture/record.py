@@ -78,8 +78,8 @@ def read_import_record(measurement: Path) -> ImportRecord | None:
 
 
 def imported_fov_deg(measurement: Path) -> float | None:
-    """Horizontal field of view of the images in a measurement file, degrees; None without a record of it."""
-    record = read_import_record(measurement)
+    """Horizontal field of view of the images in a measurement file, degrees; None without file or record."""
+    record = read_import_record(measurement) if measurement.is_file() else None
     return None if record is None else record.facts.horizontal_fov_deg
 
 
