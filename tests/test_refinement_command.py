@@ -11,6 +11,7 @@ import pytest
 from night_commands import night_here, refusal, words
 from PIL import Image
 from render_runs import wait_for, workers_of
+from threadpoolctl import threadpool_limits
 
 from itof import DepthMap
 from scenegen import open_dataset
@@ -153,14 +154,29 @@ def test_datasets_that_cannot_be_refined_are_named(dataset, make_dataset, seven_
     assert not (tmp_path / "out").exists()
 
 
+def assert_same_results(out, other):
+    for file in sorted(other.rglob("*")):
+        if file.is_file() and file.suffix in (".json", ".csv", ".exr"):
+            assert (out / file.relative_to(other)).read_bytes() == file.read_bytes(), file
+
+
 @pytest.mark.long
 def test_results_do_not_depend_on_the_number_of_workers(refined, dataset, tmp_path):
     given = ("--out", tmp_path / "out", "--device", "cpu", "--workers", 2)
     done = night_here("night-eval", "refine", "night-40x30", dataset, *given)
     assert done.returncode == 0, done.stderr
-    for file in sorted(refined[0].rglob("*")):
-        if file.is_file() and file.suffix in (".json", ".csv", ".exr"):
-            assert (tmp_path / "out" / file.relative_to(refined[0])).read_bytes() == file.read_bytes(), file
+    assert_same_results(tmp_path / "out", refined[0])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("threads", [1, 2])
+def test_results_do_not_depend_on_the_number_of_threads(refined, dataset, tmp_path, threads):
+    with threadpool_limits(threads):
+        done = night_here(
+            *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu")
+        )
+    assert done.returncode == 0, done.stderr
+    assert_same_results(tmp_path / "out", refined[0])
 
 
 @pytest.mark.long

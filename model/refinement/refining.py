@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
@@ -167,11 +168,12 @@ def refined(
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let torch use one thread: for small arrays, more are slower, and sums would depend on their number."""
+    """Let torch and numpy use one thread: faster for small arrays, and sums depend on their number."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with threadpool_limits(1, user_api="blas"):
+            yield
     finally:
         torch.set_num_threads(before)
 
