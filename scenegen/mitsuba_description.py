@@ -16,6 +16,7 @@ import numpy as np
 from scenegen.contract import Vector
 from scenegen.pose import blender_matrix
 from scenegen.scene import Camera, Emitter, RelayWall, Scene
+from scenegen.wall_image import WALL_IMAGE, pfm
 
 Description = Mapping[str, Any]
 EMITTER_IMAGE = "emitter.pfm"  # Mitsuba takes the projector's aspect ratio from this image
@@ -58,7 +59,7 @@ def mirrored_description(scene: Scene) -> Description:
 def emitter_pfm(camera: Camera) -> bytes:
     """A portable float map of ones, of the smallest size that has the camera's aspect ratio."""
     width, height = _emitter_size(camera)
-    return f"Pf\n{width} {height}\n-1.0\n".encode() + np.ones((height, width), "<f4").tobytes()
+    return pfm(np.ones((height, width)))
 
 
 def is_emitter_pfm(contents: bytes, camera: Camera) -> bool:
@@ -113,13 +114,7 @@ def _projector(emitter: Emitter) -> Description:
         "fov": emitter.horizontal_fov_deg + _FRUSTUM_MARGIN_DEG,
         "scale": emitter.irradiance,
         "to_world": _pose(emitter.location_m, emitter.rotation_deg),
-        "irradiance": {
-            "type": "bitmap",
-            "filename": EMITTER_IMAGE,
-            "raw": True,
-            "filter_type": "nearest",
-            "wrap_mode": "clamp",
-        },
+        "irradiance": _image(EMITTER_IMAGE, "nearest"),
     }
 
 
@@ -131,14 +126,26 @@ def _material(name: str, scene: Scene) -> Description:
 
 
 def _relay_wall(wall: RelayWall) -> Description:
+    reflectance = _spectrum(wall.reflectance)
+    if wall.darkening is not None:
+        # Without "accel": False, a GPU interpolates with 8 bits.
+        reflectance = {**_image(WALL_IMAGE, "bilinear"), "accel": False}
     if wall.roughness is None:
-        return _diffuse(wall.reflectance)
-    reflectance = {"type": "spectrum", "value": wall.reflectance}
+        return {"type": "diffuse", "reflectance": reflectance}
     return {"type": "roughplastic", "alpha": wall.roughness, "diffuse_reflectance": reflectance}
 
 
 def _diffuse(reflectance: float) -> Description:
-    return {"type": "diffuse", "reflectance": {"type": "spectrum", "value": reflectance}}
+    return {"type": "diffuse", "reflectance": _spectrum(reflectance)}
+
+
+def _spectrum(reflectance: float) -> Description:
+    return {"type": "spectrum", "value": reflectance}
+
+
+def _image(name: str, filter_type: str) -> Description:
+    described = {"type": "bitmap", "filename": name, "raw": True, "filter_type": filter_type}
+    return {**described, "wrap_mode": "clamp"}
 
 
 def _pose(location_m: Vector, rotation_deg: Vector) -> list[list[float]]:

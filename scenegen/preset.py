@@ -138,7 +138,9 @@ class RelayWallSettings:
     """The wall that camera and hidden object both see.
 
     Before its rotation it faces +z; `size_m` is along its own x and y. Each scene draws one value of
-    `roughness` (alpha of Mitsuba's ``roughplastic``); a ``diffuse`` wall has none.
+    `roughness` (alpha of Mitsuba's ``roughplastic``); a ``diffuse`` wall has none. If there is a
+    `least_reflectance`, the reflectance of each scene's wall falls linearly in a random direction: from
+    `reflectance` at its brightest corner to a value between that and `least_reflectance`, drawn evenly.
     """
 
     material: Material = "rough"
@@ -147,6 +149,7 @@ class RelayWallSettings:
         *(0.70, 0.75, 0.80, 0.85, 0.90, 0.95, 1.00),
     )
     reflectance: Reflectance = 1.0
+    least_reflectance: Annotated[Reflectance | None, Field(exclude_if=lambda value: value is None)] = None
     size_m: tuple[Length, Length] = (4.0, 8.0)
     location_m: Location = (0.0, 0.0, 2.0)
     rotation_deg: Rotation = (0.0, 90.0, 0.0)
@@ -263,12 +266,13 @@ class Preset:
                 f"camera_spread.horizontal_fov_deg moves camera.horizontal_fov_deg = {fov_deg:g} out of "
                 f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees: got {spread_deg:g}"
             )
-        least, most = self.hidden_object.least_reflectance, self.hidden_object.reflectance
-        if least is not None and least > most:
-            raise ValueError(
-                f"hidden_object.least_reflectance is {least:g}, above hidden_object.reflectance = "
-                f"{most:g}: it is the lower end of the range"
-            )
+        for name, part in (("hidden_object", self.hidden_object), ("relay_wall", self.relay_wall)):
+            least, most = part.least_reflectance, part.reflectance
+            if least is not None and least > most:
+                raise ValueError(
+                    f"{name}.least_reflectance is {least:g}, above {name}.reflectance = {most:g}: it is the "
+                    "lower end of the range"
+                )
         width, bins = self.camera.width, self.transient.bin_count
         if width * bins >= MAX_SCANLINE_VALUES:
             raise ValueError(

@@ -11,7 +11,7 @@ import numpy as np
 from scenegen.contract import Vector
 from scenegen.night_error import NightError
 from scenegen.preset import Preset
-from scenegen.scene import COMPOSITE, Camera, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
+from scenegen.scene import COMPOSITE, Camera, Darkening, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
 
 MAX_ATTEMPTS = 1000
 
@@ -52,6 +52,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
             material=wall.material,
             reflectance=wall.reflectance,
             roughness=wall.roughness[roughness_index] if wall.material == "rough" else None,
+            darkening=_sample_darkening(preset, rng),
         ),
         middle_wall=Wall(
             size_m=preset.middle_wall.size_m,
@@ -197,6 +198,15 @@ def _sample_reflectance(preset: Preset, rng: np.random.Generator) -> float:
     """The reflectance of a scene's objects; nothing is drawn where all scenes have the same one."""
     least, most = preset.hidden_object.least_reflectance, preset.hidden_object.reflectance
     return most if least is None else least + (most - least) * float(rng.random())
+
+
+def _sample_darkening(preset: Preset, rng: np.random.Generator) -> Darkening | None:
+    """How the relay wall of a scene darkens; nothing is drawn where it is the same everywhere."""
+    least, most = preset.relay_wall.least_reflectance, preset.relay_wall.reflectance
+    if least is None:
+        return None
+    darkest, turn = float(rng.random()), float(rng.random())
+    return Darkening(least_reflectance=most - (most - least) * darkest, direction_deg=360 * turn)
 
 
 def _sample_second(preset: Preset, first: HiddenObject, rng: np.random.Generator) -> HiddenObject:

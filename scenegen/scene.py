@@ -49,12 +49,33 @@ class Wall:
 
 
 @dataclass(frozen=True, config=STRICT)
+class Darkening:
+    """Reflectance that falls linearly over a wall.
+
+    Attributes
+    ----------
+    least_reflectance : at the darkest corner.
+    direction_deg : of the fall, from the wall's own +x towards its own +y.
+    """
+
+    least_reflectance: Reflectance
+    direction_deg: Annotated[float, Field(ge=0, le=360)]
+
+
+@dataclass(frozen=True, config=STRICT)
 class RelayWall(Wall):
-    """The wall that camera and hidden object both see. `roughness` is None for a diffuse wall."""
+    """The wall that camera and hidden object both see.
+
+    Attributes
+    ----------
+    reflectance : at the brightest corner if there is a `darkening`, else everywhere.
+    roughness : None for a diffuse wall.
+    """
 
     material: Material
     reflectance: Reflectance
     roughness: Roughness | None
+    darkening: Annotated[Darkening | None, Field(exclude_if=lambda value: value is None)] = None
 
 
 Camera = CameraSettings  # that of the preset, moved by its camera_spread

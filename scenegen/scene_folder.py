@@ -17,10 +17,12 @@ from scenegen.mitsuba_description import EMITTER_IMAGE, hidden_names, is_emitter
 from scenegen.mitsuba_xml import MIRRORED_XML, SEEN_XML, scene_files_for_mitsuba
 from scenegen.night_error import NightError
 from scenegen.scene import Scene, scene_from_json, scene_to_json
+from scenegen.wall_image import WALL_IMAGE, wall_pfm
 
 SCENE_FILE = "scene.json"
 WALLS = ("relay_wall", "middle_wall")
 _FIXED_NAMES = {SCENE_FILE, SEEN_XML, MIRRORED_XML, EMITTER_IMAGE, *(f"{wall}.ply" for wall in WALLS)}
+_ANY_NAMES = _FIXED_NAMES | {WALL_IMAGE}
 _OTHER_MESH = re.compile(r"((mirrored_)?hidden_object_[0-9]+|mirrored_middle_wall)\.ply")
 _MAX_FILE_BYTES = 2**30  # two million triangles, the most that a mesh may have, take 50 MB
 
@@ -31,7 +33,7 @@ class SceneFolderError(NightError):
 
 def is_scene_file(name: str) -> bool:
     """Whether night-gen writes files of this name into scene folders."""
-    return name in _FIXED_NAMES or _OTHER_MESH.fullmatch(name) is not None
+    return name in _ANY_NAMES or _OTHER_MESH.fullmatch(name) is not None
 
 
 def digest_of(files: Mapping[str, bytes]) -> str:
@@ -87,13 +89,16 @@ def differences(folder: Path) -> str:
     except NightError as error:
         return str(error)
     meshes = {f"{name}.ply" for name in (*WALLS, *hidden_names(scene), *mirrored_names(scene))}
-    expected = _FIXED_NAMES | meshes
+    image = wall_pfm(scene.relay_wall)
+    expected = (_FIXED_NAMES if image is None else _ANY_NAMES) | meshes
     for name in sorted(files.keys() ^ expected):
         return f"{folder / name} is {'missing' if name in expected else 'not one of its files'}"
     if files[SCENE_FILE] != scene_to_json(scene).encode():
         return f"{folder / SCENE_FILE} was changed"
     if not is_emitter_pfm(files[EMITTER_IMAGE], scene.camera):
         return f"{folder / EMITTER_IMAGE} was changed"
+    if image is not None and files[WALL_IMAGE] != image:
+        return f"{folder / WALL_IMAGE} was changed"
     for name in ineffective(files, scene):
         return f"{folder / name} or {SCENE_FILE} was changed"
     return f"{SCENE_FILE} or a mesh in {folder} was changed"

@@ -65,3 +65,20 @@ def scene_triangles(contents: bytes, origin: str) -> tuple[NDArray[np.float32], 
     if np.abs(vertices).max() > _FARTHEST_M:
         raise MeshError(f"mesh {origin} has vertices farther than {_FARTHEST_M:g} m from the origin")
     return vertices.astype(np.float32), triangles.astype(np.uint32)
+
+
+def scene_texture_coordinates(contents: bytes, origin: str) -> NDArray[np.float32]:
+    """(V, 2) texture coordinates u and v of the vertices in the PLY file of a scene.
+
+    Raises
+    ------
+    MeshError : the file is no mesh, or a vertex has no finite texture coordinates.
+    """
+    import trimesh
+
+    vertices, _ = scene_triangles(contents, origin)
+    mesh = trimesh.load_mesh(io.BytesIO(contents), file_type="ply", process=False, skip_materials=True)
+    found = np.asarray(getattr(mesh.visual, "uv", None), np.float32)
+    if found.shape != (len(vertices), 2) or not np.isfinite(found).all():
+        raise MeshError(f"mesh {origin} has no texture coordinates, which the image of the wall needs")
+    return found

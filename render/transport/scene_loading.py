@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scenegen import Dataset, NightError
 from scenegen.mitsuba_description import Description, mirrored_description, seen_description
 from scenegen.scene_folder import read_scene_folder, scene_of
-from scenegen.triangles import scene_triangles
+from scenegen.triangles import scene_texture_coordinates, scene_triangles
+from scenegen.wall_image import WALL_IMAGE
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -61,7 +62,7 @@ def scene_from_data(description: Description, files: Mapping[str, bytes], folder
 
     try:
         bsdfs = {
-            f"{name}": _bsdf(part)
+            f"{name}": _bsdf(part, files, folder)
             for name, part in description.items()
             if isinstance(part, dict) and part["type"] == "twosided"
         }
@@ -70,9 +71,11 @@ def scene_from_data(description: Description, files: Mapping[str, bytes], folder
             if name in bsdfs:
                 continue
             if isinstance(part, dict) and part["type"] == "ply":
-                contents = _file(files, part["filename"], folder)
-                bsdf = bsdfs[part["bsdf"]["id"]]
-                parts[name] = _mesh(name, *scene_triangles(contents, str(folder / part["filename"])), bsdf)
+                contents, origin = _file(files, part["filename"], folder), str(folder / part["filename"])
+                material = part["bsdf"]["id"]
+                shown = _has_image(description[material])
+                texture = scene_texture_coordinates(contents, origin) if shown else None
+                parts[name] = _mesh(name, *scene_triangles(contents, origin), bsdfs[material], texture)
             else:
                 parts[name] = _loadable(part, files, folder)
         # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
@@ -81,10 +84,19 @@ def scene_from_data(description: Description, files: Mapping[str, bytes], folder
         raise SceneLoadingError(f"Mitsuba cannot load {folder}: {' '.join(str(error).split())}") from None
 
 
-def _bsdf(part: dict[str, Any]) -> mi.BSDF:
+def _has_image(part: Any) -> bool:
+    """Whether a material has an image anywhere in its description."""
+    return isinstance(part, dict) and (
+        part["type"] == "bitmap" or any(_has_image(inner) for inner in part.values())
+    )
+
+
+def _bsdf(part: dict[str, Any], files: Mapping[str, bytes], folder: Path) -> mi.BSDF:
     """A BSDF; that of the last rough wall is kept, because Mitsuba takes 25 ms to make one."""
     import mitsuba as mi
 
+    if _has_image(part):
+        return mi.load_dict(_loadable(part, files, folder))
     if not any(isinstance(inner, dict) and inner["type"] == "roughplastic" for inner in part.values()):
         return mi.load_dict(part)
     key = (mi.variant(), json.dumps(part, sort_keys=True))
@@ -94,17 +106,27 @@ def _bsdf(part: dict[str, Any]) -> mi.BSDF:
     return _kept[key]
 
 
-def _mesh(name: str, vertices: NDArray[np.float32], triangles: NDArray[np.uint32], bsdf: mi.BSDF) -> mi.Mesh:
+def _mesh(
+    name: str,
+    vertices: NDArray[np.float32],
+    triangles: NDArray[np.uint32],
+    bsdf: mi.BSDF,
+    texture: NDArray[np.float32] | None,
+) -> mi.Mesh:
     import mitsuba as mi
 
     properties = mi.Properties()
     properties["face_normals"] = True
     properties["bsdf"] = bsdf
     properties.set_id(name)
-    mesh = mi.Mesh(name, len(vertices), len(triangles), props=properties)
+    mesh = mi.Mesh(
+        name, len(vertices), len(triangles), props=properties, has_vertex_texcoords=texture is not None
+    )
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = mi.Float(vertices.ravel())
     parameters["faces"] = mi.UInt32(triangles.ravel())
+    if texture is not None:
+        parameters["vertex_texcoords"] = mi.Float(texture.ravel())
     parameters.update()
     return mesh
 
@@ -119,7 +141,12 @@ def _loadable(part: Any, files: Mapping[str, bytes], folder: Path) -> Any:
         return part
     if part["type"] == "bitmap":
         name = part["filename"]
-        image = mi.Bitmap(_pixels(_file(files, name, folder), folder / name))
+        pixels = _pixels(_file(files, name, folder), folder / name)
+        if name == WALL_IMAGE and not ((pixels >= 0) & (pixels <= 1)).all():
+            raise SceneLoadingError(
+                f"{folder / name} has a reflectance outside 0 to 1: run night-gen scenes again"
+            )
+        image = mi.Bitmap(pixels)
         part = {key: value for key, value in part.items() if key != "filename"} | {"bitmap": image}
     return {key: _loadable(value, files, folder) for key, value in part.items()}
 
@@ -131,7 +158,7 @@ def _pixels(contents: bytes, file: Path) -> NDArray[np.float32]:
     if header is None or len(contents) != header.end() + 4 * size[0] * size[1] or 0 in size:
         raise SceneLoadingError(f"{file} is damaged: run night-gen scenes again")
     rows = np.frombuffer(contents, "<f4", offset=header.end()).reshape(*size, 1)
-    return np.ascontiguousarray(rows[::-1], np.float32)  # the last row comes first
+    return np.array(rows[::-1], np.float32, order="C")  # a copy; the last row comes first
 
 
 def _file(files: Mapping[str, bytes], name: str, folder: Path) -> bytes:

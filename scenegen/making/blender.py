@@ -17,6 +17,7 @@ from scenegen.chatter import silenced
 from scenegen.contract import Vector
 from scenegen.making.blender_picture import outside_view
 from scenegen.making.blender_shapes import (
+    SQUARE_CORNERS,
     ply_bytes,
     primitive,
     reflection,
@@ -31,6 +32,7 @@ from scenegen.mitsuba_xml import scene_files_for_mitsuba
 from scenegen.scene import Scene, Wall, scene_to_json
 from scenegen.scene_folder import SCENE_FILE, WALLS
 from scenegen.shapes import PRIMITIVES, Shape
+from scenegen.wall_image import WALL_IMAGE, texture_coordinates, wall_pfm
 
 CLEARANCE_M = 1e-3  # objects keep this distance to the relay wall, so that no ray starts inside it
 
@@ -85,13 +87,15 @@ class BlenderMaker:
         made = {}
         with self._built(scene) as objects:
             mirror = reflection(objects["relay_wall"].matrix_world)
+            shown = {"relay_wall": texture_coordinates(scene.relay_wall, np.array(SQUARE_CORNERS))}
             for name in (*WALLS, *hidden_names(scene)):
-                made[f"{name}.ply"] = ply_bytes(world_mesh(objects[name]))
+                made[f"{name}.ply"] = ply_bytes(world_mesh(objects[name]), shown.get(name))
             for mirrored, name in mirrored_names(scene).items():
                 made[f"{mirrored}.ply"] = ply_bytes(world_mesh(objects[name], mirror))
         exported = {name: text.encode() for name, text in scene_files_for_mitsuba(scene).items()}
-        image = {EMITTER_IMAGE: emitter_pfm(scene.camera)}
-        return made | exported | image | {SCENE_FILE: scene_to_json(scene).encode()}
+        image = wall_pfm(scene.relay_wall)
+        images = {EMITTER_IMAGE: emitter_pfm(scene.camera)} | ({} if image is None else {WALL_IMAGE: image})
+        return made | exported | images | {SCENE_FILE: scene_to_json(scene).encode()}
 
     def picture(self, scene: Scene, width: int, height: int) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB picture of the scene from outside; see `scenegen.making.blender_picture`."""

@@ -12,6 +12,7 @@ from scenegen.making.blender_start import BlenderVector, Matrix, bmesh, bpy
 from scenegen.making.meshes import UserMesh
 from scenegen.shapes import Shape
 
+SQUARE_CORNERS = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))  # of `unit_square`, in its order
 _ARC_SEGMENTS = 64  # around every round primitive: a chord leaves a 0.28 m circle by 0.34 mm
 
 
@@ -46,8 +47,7 @@ def user_mesh(mesh: UserMesh) -> bpy.types.Mesh:
 def unit_square() -> bpy.types.Mesh:
     """A square of side 1 around the origin that faces +z: the mesh of both walls."""
     mesh = bpy.data.meshes.new("plane")
-    corners = [(-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.5, 0.5, 0.0)]
-    mesh.from_pydata(corners, [], [(0, 1, 3, 2)])
+    mesh.from_pydata([(x, y, 0.0) for x, y in SQUARE_CORNERS], [], [(0, 1, 3, 2)])
     return mesh
 
 
@@ -71,8 +71,13 @@ def reflection(relay_wall: Matrix) -> Matrix:
     return Matrix.Translation(point) @ Matrix.Scale(-1, 4, normal) @ Matrix.Translation(-point)
 
 
-def ply_bytes(mesh: bpy.types.Mesh) -> bytes:
-    """Contents of a binary PLY file of the triangulated mesh, float32, without normals."""
+def ply_bytes(mesh: bpy.types.Mesh, texture: NDArray[np.float32] | None = None) -> bytes:
+    """Contents of a binary PLY file of the triangulated mesh, float32, without normals.
+
+    Parameters
+    ----------
+    texture : (V, 2) texture coordinates of the vertices, if they have any.
+    """
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", vertices)
@@ -81,6 +86,8 @@ def ply_bytes(mesh: bpy.types.Mesh) -> bytes:
     solid = trimesh.Trimesh(
         vertices.reshape(-1, 3), _ordered(triangles.reshape(-1, 3)), process=False, validate=False
     )
+    if texture is not None:
+        solid.vertex_attributes |= {"u": texture[:, 0], "v": texture[:, 1]}
     contents: bytes = solid.export(file_type="ply", encoding="binary", vertex_normal=False)
     return contents
 
