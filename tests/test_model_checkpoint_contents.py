@@ -16,6 +16,7 @@ from model.prediction.predictor import load
 from model.run_folder.checksums import label_text, labelled
 from model.run_folder.run_config import RunError, read_config
 from model.training.checkpoint import load_checkpoint, save_checkpoint
+from model.training.checkpoint_contents import checked_position
 from model.training.processes import Processes
 from model.training.state import TrainingState
 
@@ -23,6 +24,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 COURSE = {"ema_decay": 0.5, "precision": "float16", "width": 1, "max_epochs": 1}  # with every part
 MOST = 10**6
 MISSING = object()
+LOSSES = ("train_loss", "validation_loss", "loss_total")
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +104,9 @@ def mutations(contents):
         kind = (path[:-1], type(path[-1])) if is_one_of_many else path
         if path and kind not in done:
             done.add(kind)
-            yield from ((path, other) for other in wrong(value))
+            # With depths that expect their errors, a loss may be below 0.
+            left_out = (-1.5, -1) if path[-1] in LOSSES else ()
+            yield from ((path, other) for other in wrong(value) if repr(other) not in map(repr, left_out))
 
 
 def message_of(read, *arguments):
@@ -140,6 +144,17 @@ def test_every_single_change_of_a_checkpoint_is_refused(contents, restore):
     changes = list(mutations(contents))
     assert len(changes) > 800
     assert list(accepted(contents, changes, restore)) == []
+
+
+def test_a_training_whose_losses_are_below_0_goes_on(contents, restore):
+    negative = replaced(contents, ("history", 0, "validation_loss"), -0.25)
+    negative = replaced(negative, ("history", 0, "train_loss"), -0.5)
+    assert message_of(restore, negative) is None
+    assert checked_position({"batches": 1, "loss_total": -0.75}, 3, 8) == (1, -0.75)
+    assert "impossible record" in message_of(
+        restore, replaced(contents, ("history", 0, "validation_mae_cm"), -0.25)
+    )
+    restore(contents)
 
 
 @pytest.mark.parametrize("missing", ["network", "optimisation", "best", "position", "history", "window_rows"])

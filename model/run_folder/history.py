@@ -37,14 +37,16 @@ class EpochRecord:
     @property
     def is_possible(self) -> bool:
         """Whether a training can have written these values; for records that were read from a file."""
-        numbers = [getattr(self, name) for name in COLUMNS[1:]]
+        numbers = {name: getattr(self, name) for name in COLUMNS[1:]}
         return (
             type(self.epoch) is int
-            and all(type(number) is float and 0 <= number < math.inf for number in numbers)
+            and all(type(number) is float and math.isfinite(number) for number in numbers.values())
+            and all(numbers[name] >= 0 for name in numbers.keys() - _LOSSES)
             and self.validation_miou <= 1 + 1e-6  # and rounding
         )
 
 
+_LOSSES: Final = {"train_loss", "validation_loss"}  # a likelihood of depths has negative logarithms
 COLUMNS: Final = tuple(field.name for field in fields(EpochRecord))
 
 

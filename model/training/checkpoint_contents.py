@@ -72,7 +72,7 @@ def checked_position(value: Any, batches_an_epoch: int, scenes: int) -> tuple[in
     position = checked_keys(value, frozenset({"batches", "loss_total"}), "position")
     batches = checked_whole(position["batches"], 0, batches_an_epoch, "position.batches")
     most = EXPLODED * scenes if batches else 0.0
-    return batches, checked_number(position["loss_total"], 0.0, most, "position.loss_total")
+    return batches, checked_number(position["loss_total"], -most, most, "position.loss_total")
 
 
 def checked_adam(
