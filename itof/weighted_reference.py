@@ -37,8 +37,8 @@ def weighted_reference(reference: Any, amplitude: Any) -> Any:
 
     Parameters
     ----------
-    reference : (H, W, F) complex direct return of a Lambertian wall; or a capture of the empty corner, which
-        has the brightness of the measurement and therefore stays as it is.
+    reference : ([N,] H, W, F) complex direct return of a Lambertian wall; or a capture of the empty corner,
+        which has the brightness of the measurement and therefore stays as it is.
     amplitude : (..., H, W) measured |z_0|, in any unit.
 
     Returns

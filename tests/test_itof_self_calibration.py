@@ -183,6 +183,31 @@ def test_torch_and_numpy_agree_to_rounding_and_images_do_not_depend_on_their_bat
     np.testing.assert_allclose(single.direct.numpy(), ours.direct, rtol=2e-6)
 
 
+@pytest.mark.parametrize("wiggling", [False, True])
+def test_cameras_of_different_fields_of_view_are_calibrated_at_once(wiggling):
+    found_m, moved_m = np.array([-0.45, 0.05, 0.4]), np.array([-0.44, 0.06, 0.41])
+    views = [(fov_deg, 40, 30, FREQUENCIES_HZ) for fov_deg in (55.0, 60.0, 110.0)]
+    walls = [ExpectedWall.of_plane(found_m, *size, fov_deg) for fov_deg, *size in views]
+    assert np.isinf(walls[2].radial_depth_m).any()  # some rays of the widest camera miss it
+    seen = [ExpectedWall.of_plane(moved_m, *size, fov_deg).direct for fov_deg, *size in views]
+    images = np.stack(seen) * np.exp(1j * OFFSETS_RAD)
+    stacked = ExpectedWall.stacked(walls)
+    here = stacked.converted(torch.from_numpy)
+    ours = calibrate(images, stacked, wiggling=wiggling)
+    theirs = calibrate(torch.from_numpy(images), here, wiggling=wiggling)
+    alone = [calibrate(*pair, wiggling=wiggling) for pair in zip(images, walls, strict=True)]
+    for name in ("plane_per_m", "offsets_rad", "wiggling_rad", "direct"):
+        expected = np.stack([getattr(each, name) for each in alone])
+        np.testing.assert_allclose(getattr(ours, name), expected, rtol=1e-7, atol=1e-10)
+        np.testing.assert_allclose(getattr(theirs, name).numpy(), expected, rtol=1e-7, atol=1e-10)
+
+
+def test_only_walls_in_the_same_plane_are_stacked(wall):
+    for others in ([], [wall, paper_wall(40, 30, 0.01)], [wall, wall.at([0, 1])]):
+        with pytest.raises(ValueError, match="stack"):
+            ExpectedWall.stacked(others)
+
+
 def test_a_turned_reference_is_that_of_the_turned_wall(wall):
     other = paper_wall(40, 30, 0.01, 1.0)
     turn = wall.slope * (other.radial_depth_m - wall.radial_depth_m)[..., None]

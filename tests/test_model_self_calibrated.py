@@ -70,7 +70,7 @@ def test_the_channels_of_the_training_scenes_have_unit_variance(self_run, shards
 
 
 def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch):
-    monkeypatch.setattr("model.data.batches._IMAGES_AT_ONCE", 5)
+    monkeypatch.setattr("model.data.batches.IMAGES_AT_ONCE", 5)
     predictor, block = load(self_run, "cpu"), shards.read(range(12))
     maker = BatchMaker.for_shards(
         predictor.config.inputs, shards.manifest.frequencies_hz, predictor.wall, torch.device("cpu")

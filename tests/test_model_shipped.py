@@ -17,6 +17,10 @@ from model.run_folder.shipped import run_folder
 ROOT = Path(__file__).parent.parent
 MOST_BYTES = 40e6  # of all of them
 RUNS = model.shipped_runs()
+# Scenes that a network is for, and what 30 of them must give. Its card says more; single scenes scatter by
+# 0.08 and 1.8 cm, their mean by a fifth of that.
+ONE_CORNER = ("judge", 0.82, 0.04)  # preset, smallest mIoU, largest MAE in metres
+SCENES = {"any-corner-40x30": ("judge-any-corner", 0.76, 0.05)}
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -83,19 +87,17 @@ def test_a_missing_run_names_those_that_there_are(tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
 def test_it_finds_objects_in_scenes_that_nobody_trained_on(name, tmp_path):
-    predictor = load(name, "cpu")
-    size = f"{predictor.config.image_width}x{predictor.config.image_height}"
-    (tmp_path / "new.toml").write_text(
-        "[dataset]\ncount = 30\nseed = 20261122\ntest_fraction = 0.8\nvalidation_fraction = 0.5\n"
-    )
+    config = load(name, "cpu").config
+    size = f"{config.image_width}x{config.image_height}"
+    preset, least_miou, largest_mae_m = SCENES.get(name, ONE_CORNER)
+    new = tmp_path / "new"
     for command in (
-        ("night-gen", "scenes", tmp_path / "new", "--preset", tmp_path / "new.toml"),
-        ("night-render", tmp_path / "new", "--product", "itof", "--resolution", size, "--error", 0.02),
-        ("night-eval", name, tmp_path / "new", "--out", tmp_path / "report"),
+        ("night-gen", "scenes", new, "--preset", preset, "--count", 30, "--seed", 20261122),
+        ("night-render", new, "--product", "itof", "--resolution", size, "--error", 0.02),
+        ("night-eval", name, new, "--out", tmp_path / "report"),
     ):
         done = night(*command)
         assert done.returncode == 0, done.stderr
     metrics = json.loads((tmp_path / "report" / "metrics.json").read_text())
-    # Its card says 0.87 and 2.6 cm; the scatter of single scenes is 0.08 and 1.8 cm, that of 24 a fifth.
-    assert metrics["prediction"]["miou"]["mean"] > 0.82
-    assert metrics["prediction"]["depth_mae_m"]["mean"] < 0.04
+    assert metrics["prediction"]["miou"]["mean"] > least_miou
+    assert metrics["prediction"]["depth_mae_m"]["mean"] < largest_mae_m

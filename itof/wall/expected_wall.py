@@ -23,7 +23,8 @@ _NEAREST = 2.0  # of the expected distance over the distance
 class ExpectedWall:
     """Relay wall and camera as they should be, in camera axes (x right, y down, z forward).
 
-    Its arrays are of numpy; `converted` makes them those of another library.
+    Its arrays are of numpy; `converted` makes them those of another library. For N cameras that differ in
+    their field of view, `direct`, `rays` and `strength` begin with an axis of N (`stacked`).
 
     Attributes
     ----------
@@ -93,6 +94,27 @@ class ExpectedWall:
         direct = direct_phasors(*size, frequencies_hz, *camera, plane / square, plane)
         return cls(tuple(frequencies_hz), direct, pixel_rays(*size), plane)
 
+    @classmethod
+    def stacked(cls, walls: Sequence[ExpectedWall]) -> ExpectedWall:
+        """Walls of numpy arrays at the same frequencies and in the same plane, for one image each.
+
+        Raises
+        ------
+        ValueError : there are none, or they differ in plane or frequencies.
+        """
+        first = walls[0] if walls else None
+        if first is None:
+            raise ValueError("there are no walls to stack")
+        if any(
+            each.frequencies_hz != first.frequencies_hz or (each.plane_per_m != first.plane_per_m).any()
+            for each in walls
+        ):
+            raise ValueError("walls of other planes or frequencies cannot be stacked")
+        direct, rays, strength = (
+            np.stack([getattr(each, name) for each in walls]) for name in ("direct", "rays", "fit_strength")
+        )
+        return cls(first.frequencies_hz, direct, rays, first.plane_per_m, strength)
+
     def converted(self, convert: Callable[[Any], Any]) -> ExpectedWall:
         """The same with the arrays that `convert` makes of its arrays, for another library or device."""
         arrays = {name: convert(getattr(self, name)) for name in ("direct", "rays", "plane_per_m")}
@@ -146,9 +168,14 @@ def radial_depth_of_plane(rays: Any, plane_per_m: Any) -> Any:
     """Distance of planes (..., 3) along rays (n, 3) or (H, W, 3), metres; infinite where a ray misses one.
 
     Arrays of numpy or of another library of the array API. For several planes the result is (..., n), and the
-    rays must be (n, 3).
+    rays must be (n, 3), or (..., n, 3) with rays of its own for each plane.
     """
     xp = array_namespace(rays, plane_per_m)
-    inverse = plane_per_m @ xp.matrix_transpose(rays) if plane_per_m.ndim > 1 else rays @ plane_per_m
+    if plane_per_m.ndim == 1:
+        inverse = rays @ plane_per_m
+    elif rays.ndim == 2:
+        inverse = plane_per_m @ xp.matrix_transpose(rays)
+    else:
+        inverse = xp.sum(rays * plane_per_m[..., None, :], axis=-1)
     ahead = inverse > 1 / _FARTHEST_M
     return xp.where(ahead, 1 / xp.where(ahead, inverse, 1.0), xp.inf)

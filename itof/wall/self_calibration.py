@@ -75,6 +75,8 @@ def calibrate(
     start_per_m : (..., 3) plane to start from; by default the expected one, which must be right to about
         c / 8f. `itof.wall.wall_search.plane_from_nothing` finds another one.
 
+    A wall of N cameras (`ExpectedWall.stacked`) is for N images (N, H, W, F), one each.
+
     An image that shows no wall keeps the plane and the offsets that it started with, or nearly so.
     """
     xp = array_namespace(phasor)
@@ -101,7 +103,7 @@ def calibrate(
 
 
 def turned_reference(reference: Any, turn_rad: Any) -> Any:
-    """The direct return `reference` (H, W, F), with phases that grow by `turn_rad` (..., H, W, F).
+    """The direct return `reference` ([N,] H, W, F), with phases that grow by `turn_rad` (..., H, W, F).
 
     The light of a pixel comes over different paths, which cancel in part. With the gradient g of log
     reference within the pixel and its second derivatives h, the mean is 1 + (g · g + sum h) / 24 of the value
@@ -129,7 +131,9 @@ class _Problem:
     phases : (..., F, n) measured over expected, radians, modulo 2π.
     basis : (..., F, Q, n) what the Q unknowns of each frequency multiply: 1, and the four cycles.
     weight : (..., 1, n) weights of the pixels; 0 where a pixel holds no light.
-    rays : (n, 3); expected_depth_m : (n,) with 0 where the ray misses the wall; slope : (F, 1) rad/m.
+    rays : ([N,] n, 3).
+    expected_depth_m : ([N,] n) with 0 where the ray misses the wall.
+    slope : (F, 1) rad/m.
     """
 
     xp: ModuleType
@@ -148,16 +152,18 @@ class _Problem:
         ratio, measured = (xp.moveaxis(xp.reshape(each, rows), -1, -2) for each in (ratio, phasor))
         phases, cycles = (xp.astype(xp.atan2(xp.imag(z), xp.real(z)), xp.float64) for z in (ratio, measured))
         waves = [xp.cos(4 * cycles), xp.sin(4 * cycles)] if wiggling else []
-        meets = xp.reshape(xp.isfinite(wall.radial_depth_m), (-1,))
-        lit = xp.all(ratio != 0, axis=-2, keepdims=True) & meets  # (..., 1, n)
-        strength = xp.reshape(xp.astype(wall.fit_strength, xp.float64), (-1,))
-        depth_m = xp.reshape(wall.radial_depth_m, (-1,))
+        pixels = (*wall.rays.shape[:-3], -1)  # ([N,] n)
+        meets = xp.reshape(xp.isfinite(wall.radial_depth_m), pixels)
+        lit = xp.all(ratio != 0, axis=-2, keepdims=True) & meets[..., None, :]  # (..., 1, n)
+        strength = xp.reshape(xp.astype(wall.fit_strength, xp.float64), pixels)[..., None, :]
+        strongest = xp.max(strength, axis=-1, keepdims=True)
+        depth_m = xp.reshape(wall.radial_depth_m, pixels)
         return cls(
             xp,
             phases,
             xp.stack([xp.ones_like(phases), *waves], axis=-2),
-            (strength / xp.clip(xp.max(strength), min=_DARKEST)) ** 2 * xp.astype(lit, xp.float64),
-            xp.reshape(wall.rays, (-1, 3)),
+            (strength / xp.clip(strongest, min=_DARKEST)) ** 2 * xp.astype(lit, xp.float64),
+            xp.reshape(wall.rays, (*pixels, 3)),
             xp.where(meets, depth_m, xp.zeros_like(depth_m)),
             xp.asarray(wall.slope, dtype=xp.float64, device=device(phasor))[:, None],
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 import torch
@@ -16,9 +15,7 @@ from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
 from model.data.scene_walls import SceneWalls
 from model.data.sensor_draws import SensorDraws
-from model.network.channels import InputSpec
-
-_IMAGES_AT_ONCE: Final = 16  # a self-calibration needs many times the memory of its phasors
+from model.network.channels import IMAGES_AT_ONCE, InputSpec
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ class BatchMaker:
 
     def _measured_by(self, camera: SensorDraws, rows: RowBlock, start: int) -> Tensor:
         """(n, 2F, H, W) phasors of some rows as the camera measures them."""
-        some = slice(start, start + _IMAGES_AT_ONCE)
+        some = slice(start, start + IMAGES_AT_ONCE)
         phasor = camera(self.measured(replace(rows, phasors=rows.phasors[some])), rows.rows[some])
         return torch.cat([phasor.real, phasor.imag], dim=-1).movedim(-1, 1).contiguous()
 
@@ -132,11 +129,10 @@ class BatchMaker:
         """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
         shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
-        at_once = 1 if self.walls else _IMAGES_AT_ONCE
-        for start in _starts(rows, at_once):
-            some = slice(start, start + at_once)
+        for start in _starts(rows):
+            some = slice(start, start + IMAGES_AT_ONCE)
             measured = self.measured(replace(rows, phasors=rows.phasors[some]))
-            wall = _on(found.device, self.walls.of(rows.rows[start])) if self.walls else self.wall
+            wall = _on(found.device, self.walls.of(rows.rows[some])) if self.walls else self.wall
             found[some] = self.inputs.reference_of_image(measured, wall)
         return found
 
@@ -170,9 +166,9 @@ class BatchMaker:
         )
 
 
-def _starts(rows: RowBlock, at_once: int = _IMAGES_AT_ONCE) -> range:
+def _starts(rows: RowBlock) -> range:
     """Numbers of the first images of the parts that are computed at once."""
-    return range(0, len(rows), at_once)
+    return range(0, len(rows), IMAGES_AT_ONCE)
 
 
 def _on(device: torch.device, wall: ExpectedWall) -> ExpectedWall:

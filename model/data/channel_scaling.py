@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from itof import amplitude, residual_channels
@@ -13,7 +14,7 @@ from itof.wall.expected_wall import ExpectedWall
 from model.data.order import rows_by_piece
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
-from model.network.channels import ChannelError, InputSpec
+from model.network.channels import IMAGES_AT_ONCE, ChannelError, InputSpec
 from model.network.wall_view import WallView
 from model.settings import AmplitudeDivisor, Channels, Reference
 
@@ -61,24 +62,23 @@ def fit_input_spec(
         raise ValueError(f"the reference {reference} needs the camera and the wall: give view")
     wall = view.expected_wall(direct, chosen) if view and unscaled.self_calibrates else None
     walls_of_scenes = SceneWalls.of_shards(view, shards, chosen) if view and wall else None
-    amplitudes, brightest, means, squares, walls = [], 0.0, [], [], []
-    for row, phasor in _phasors(shards, rows):
-        wall = walls_of_scenes.of(row) if walls_of_scenes else wall
-        first = amplitude(phasor[..., places[0]])  # (H, W)
-        amplitudes.append(first.mean())
+    amplitudes, brightest, means, squares = [], 0.0, [], []
+    walls: list[tuple[float, float, float]] = []
+    for some, phasors in _images(shards, rows):
+        wall = walls_of_scenes.of(some) if walls_of_scenes else wall
+        first = amplitude(phasors[..., places[0]])  # (n, H, W)
+        amplitudes.extend(first.mean(axis=(1, 2)))
         brightest = max(brightest, float(first.max()))
         if unscaled.uses_residual:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
-                seen = phasor[..., places]
-                known = unscaled.reference_for(seen, wall) if wall else direct
+                seen = phasors[..., places]
+                known = _reference(unscaled, seen, wall) if wall else direct
                 known, inverse = unscaled.parted(known)
-                residual = residual_channels(seen, known)  # (2F - 1, H, W)
+                residual = residual_channels(seen, known).astype(np.float64)  # (n, 2F - 1, H, W)
                 if wall and unscaled.shows_wall:
-                    inverse = inverse[..., 0].real.astype(np.float64)
-                    walls.append((inverse.mean(), (inverse**2).mean(), _shift_m(inverse, wall)))
-                residual = residual.astype(np.float64)
-                means.append(residual.mean(axis=(1, 2)))
-                squares.append((residual**2).mean(axis=(1, 2)))
+                    walls.extend(_wall_statistics(inverse[..., 0].real.astype(np.float64), wall))
+                means.extend(residual.mean(axis=(2, 3)))
+                squares.extend((residual**2).mean(axis=(2, 3)))
     if not np.isfinite([*amplitudes, brightest, *np.ravel(squares)]).all():
         raise ChannelError(
             f"the phasors.npy of {shards.folder} have numbers that are too large: delete that folder, and it "
@@ -107,17 +107,32 @@ def fit_input_spec(
     )
 
 
-def _shift_m(inverse_distance_per_m: NDArray[np.float64], wall: ExpectedWall) -> float:
-    """Mean distance of a wall from the expected one along the rays that meet both, metres."""
-    ahead = (inverse_distance_per_m > 0) & np.isfinite(wall.radial_depth_m)
-    if not ahead.any():
-        return 0.0
-    return float(np.abs(1 / inverse_distance_per_m[ahead] - wall.radial_depth_m[ahead]).mean())
+def _reference(inputs: InputSpec, seen: NDArray[np.generic], wall: ExpectedWall) -> NDArray[np.generic]:
+    """`InputSpec.reference_for` images (n, H, W, F), by PyTorch, which is faster than numpy here."""
+    found: NDArray[np.generic] = inputs.reference_for(
+        torch.from_numpy(seen), wall.converted(torch.from_numpy)
+    ).numpy()
+    return found
 
 
-def _phasors(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[int, NDArray[np.complex128]]]:
-    """Each row with the (H, W, F) phasors of its scene."""
+def _wall_statistics(
+    inverse_distance_per_m: NDArray[np.float64], wall: ExpectedWall
+) -> Iterator[tuple[float, float, float]]:
+    """Of the wall of each image (n, H, W), 1/m: mean, mean square, and its distance from the expected wall.
+
+    The distance, metres, is the mean along the rays that meet both walls.
+    """
+    expected_m = np.broadcast_to(wall.radial_depth_m, inverse_distance_per_m.shape)
+    for inverse, depth_m in zip(inverse_distance_per_m, expected_m, strict=True):
+        ahead = (inverse > 0) & np.isfinite(depth_m)
+        shift_m = np.abs(1 / inverse[ahead] - depth_m[ahead]).mean() if ahead.any() else 0.0
+        yield float(inverse.mean()), float((inverse**2).mean()), float(shift_m)
+
+
+def _images(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[list[int], NDArray[np.complex128]]]:
+    """Some rows at a time, with the (n, H, W, F) phasors of their scenes."""
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
         block = shards.read(piece)
-        for row in piece:
-            yield row, block.take([row]).complex_phasors()[0]
+        for start in range(0, len(piece), IMAGES_AT_ONCE):
+            some = piece[start : start + IMAGES_AT_ONCE]
+            yield some, block.take(some).complex_phasors()

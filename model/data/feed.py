@@ -53,6 +53,11 @@ class Feed:
         """Whether all rows stay in memory."""
         return len(self.rows) <= self.window_rows
 
+    def hold(self) -> None:
+        """Read and prepare all rows, if they stay in memory and this has not been done."""
+        if self.is_resident and self._held is None:
+            self._held = self._prepare(self._shards.read(self.rows))
+
     def shuffled(self, batch_size: int, generator: torch.Generator, *, skip: int = 0) -> Iterator[RowBlock]:
         """Batches with every row once, in random order.
 
@@ -69,12 +74,12 @@ class Feed:
 
     def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
         """The rows of each window in order, and a block that holds them."""
-        if not self.is_resident:
+        self.hold()
+        if self._held is None:
             yield from _read_ahead(lambda rows: self._prepare(self._shards.read(rows)), windows)
             return
-        if self._held is None:
-            self._held = self._prepare(self._shards.read(self.rows))
-        yield from ((window, self._held) for window in windows)
+        held = self._held
+        yield from ((window, held) for window in windows)
 
 
 def window_rows(

@@ -1,12 +1,13 @@
-"""The expected wall of each scene, where the scenes have different fields of view."""
+"""The expected walls of scenes, where the scenes have different fields of view."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
+import torch
 
 from itof.wall.expected_wall import ExpectedWall
 from model.data.shards import Shards
@@ -15,7 +16,7 @@ from model.network.wall_view import WallView
 
 @dataclass(frozen=True)
 class SceneWalls:
-    """Makes the expected wall of a scene from its field of view.
+    """Makes the expected walls of scenes from their fields of view.
 
     Attributes
     ----------
@@ -40,15 +41,12 @@ class SceneWalls:
         size = manifest.width, manifest.height
         return cls(view, manifest.fields_of_view_deg, *size, tuple(frequencies_hz))
 
-    def of(self, row: int) -> ExpectedWall:
-        """The wall of a row, with its direct return in complex64."""
-        size = self.width, self.height
-        return _expected_wall(self.view.with_fov(self.fields_of_view_deg[row]), *size, self.frequencies_hz)
+    def of(self, rows: Sequence[int]) -> ExpectedWall:
+        """The walls of rows, one each, with their direct return in complex64."""
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # numpy lets other threads work
+            return ExpectedWall.stacked(list(pool.map(self._of_row, rows)))
 
-
-@lru_cache(maxsize=64)
-def _expected_wall(
-    view: WallView, width: int, height: int, frequencies_hz: tuple[float, ...]
-) -> ExpectedWall:
-    direct = view.direct_phasors(width, height, frequencies_hz)
-    return view.expected_wall(direct.astype(np.complex64), frequencies_hz)
+    def _of_row(self, row: int) -> ExpectedWall:
+        view = self.view.with_fov(self.fields_of_view_deg[row])
+        direct = view.direct_phasors(self.width, self.height, self.frequencies_hz)
+        return view.expected_wall(direct.astype(np.complex64), self.frequencies_hz)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 from array_api_compat import array_namespace, device, is_array_api_obj
@@ -16,6 +16,9 @@ from itof.wall.self_calibration import calibrate
 from model.settings import Channels, Reference
 from scenegen import NightError
 from scenegen.contract import STRICT, Positive
+
+# Images whose references are found at once, which takes many times the memory of their phasors.
+IMAGES_AT_ONCE: Final = 16
 
 
 class ChannelError(NightError):

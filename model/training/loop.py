@@ -138,6 +138,8 @@ def _train(
         shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
     refuse_missing_scenes(shards, dataset, settings.train_scenes)
     refuse_other_view(shards, dataset, settings.sensor)
+    if shown and not before and not start:
+        _log.info("scaling the input channels by the training scenes")
     config = _configure(dataset, shards, settings, before, start)
     change = changed_setting(before, config) if before else None
     if change:
@@ -217,6 +219,10 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
         _log.info("%s is finished already, after %d epochs: nothing to do", out, done)
         return _result(state)
     before = min(done * scenes + state.batches_done * state.settings.batch_size, max_epochs * scenes)
+    if state.settings.progress and is_first:
+        _log.info("preparing %d scenes", sum(len(feed.rows) for feed in state.feeds.values()))
+    for feed in state.feeds.values():
+        feed.hold()  # before the first epoch, whose speed would be that of reading
     shown = showing_progress(
         max_epochs * scenes, "scene", initial=before, show=state.settings.progress and is_first
     )
