@@ -99,11 +99,13 @@ def test_half_floats_leave_the_first_block_and_the_head_alone(precision):
     net, seen = network(), {}
     for name, module in (("first", net.encoder[0][0]), ("second", net.encoder[1][0]), ("head", net.head[0])):
         module.register_forward_hook(lambda _, __, out, name=name: seen.update({name: out.dtype}))
+    # The float32 features of the first block must not make the largest input of the decoder float32, too.
+    net.decoder[-1].register_forward_pre_hook(lambda _, inputs: seen.update(joined=inputs[0].dtype))
     images = torch.rand(1, 1, 16, 16, generator=torch.Generator().manual_seed(0))
     number = getattr(torch, precision)
     with torch.no_grad(), torch.autocast("cpu", number):
         half = net(images)
-    assert seen == {"first": torch.float32, "second": number, "head": torch.float32}
+    assert seen == {"first": torch.float32, "second": number, "joined": number, "head": torch.float32}
     with torch.no_grad():
         exact = net(images)
     # About twenty layers, each of which rounds by half a unit in the last of 8 or 11 bits.

@@ -115,7 +115,9 @@ class UNet(nn.Module):
             skips.append(x)
         skips.pop()  # the output of the deepest level is x itself
         for upsample, block in zip(self.upsampling, self.decoder, strict=True):
-            x = block(torch.cat([skips.pop(), upsample(x)], dim=1))
+            x = upsample(x)
+            # The number type of the convolutions: one float32 skip would make both halves float32, and back.
+            x = block(torch.cat([skips.pop().to(x.dtype), x], dim=1))
         with torch.autocast(x.device.type, enabled=False):
             features = x.to(channels.dtype)
             output: Tensor = self.head(features)
