@@ -47,7 +47,7 @@ def measure(step: str, folder: Path) -> None:
             forget(shards.folder)
             started = time.perf_counter()
             feed = Feed(shards, rows, len(rows) if step == "resident" else 0)
-            for block in feed.shuffled(32, torch.Generator().manual_seed(0)):
+            for block in feed.in_windows(feed.shuffled_windows(torch.Generator().manual_seed(0)), 32):
                 read += len(block) * shards.manifest.layout.row_bytes
     seconds = time.perf_counter() - started
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

@@ -28,6 +28,7 @@ GroundTruth = Literal["geometry", "simulated"]
 LossTarget = Literal["components", "depth"]
 LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
 MaskSource = Literal["amplitude", "depth"]
+MaskGradient = Literal["amplitude", "depth"]
 Freeze = Literal["none", "encoder", "all-but-head", "all-but-uncertainty"]
 DeviceName = Literal["auto", "cpu", "cuda"]
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
@@ -48,7 +49,7 @@ NETWORK_SETTINGS = (
     "target",
     "uncertainty",
 )
-READOUT_SETTINGS = ("loss", "mask_from", "mask_threshold", "mask_depth_m", "dead_zone")
+READOUT_SETTINGS = ("loss", "mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
 
 
@@ -56,7 +57,8 @@ NotNegative = Annotated[float, Field(ge=0)]
 class TrainSettings:
     """Everything that decides a training run.
 
-    docs/paper.md says which defaults are the paper's; the preset ``paper`` has all values of the paper.
+    docs/paper.md says which defaults are the paper's; the preset ``paper`` has the values of its text,
+    and those of the released code where the text gives none.
     Options of ``night-train`` are made of these fields: the text below a field is its description there.
     """
 
@@ -96,6 +98,9 @@ class TrainSettings:
     code), or mean error of either class (text of the paper)."""
     mask_from: MaskSource = "amplitude"
     """What of the output says whether a pixel shows the object; depth as in the paper."""
+    mask_gradient: MaskGradient = "amplitude"
+    """With mask_from depth: what moves the mask in the training. With depth, as in the released code, the
+    training ends at no object (docs/results.md)."""
     mask_threshold: Positive = 0.5
     """Amplitude of the output from which on a pixel shows the object."""
     mask_depth_m: NotNegative = 0.0
@@ -144,12 +149,15 @@ class TrainSettings:
     sensor_capture: bool = False
     """With sensor: divide by what it makes of the empty corner, for predictions that have such a capture."""
     channel_noise_sigma: NotNegative = 0.0
-    """Noise on each normalised input channel; the paper: 1."""
+    """Noise on each normalised input channel. The paper has noise of 1; the released code adds it here."""
     channel_noise_fraction: Annotated[float, Field(ge=0, le=1)] = 1.0
     """Part of the images that get the noise on the channels; the released code: about 1/7."""
     change_fraction: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """Part of the images that get each of five changes, and no other: flips, rotation, shift, channel noise;
-    0: an image may get several. The released code: about 1/7."""
+    0: an image may get several. The paper's enlarged set has about 1/7 of each."""
+    copies_per_change: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Enlarge the training set once, by so many changed copies of scenes for each of these changes; an epoch
+    has the scenes as they are, and all copies. 0: change every image anew. The released code: 403."""
     precision: Precision = "float32"
     """Number type of the convolutions; auto: bfloat16 where the processor computes in it."""
     channels_last: bool = True
@@ -177,6 +185,15 @@ class TrainSettings:
             raise ValueError(
                 "change_fraction says how many images get channel noise: leave channel_noise_fraction at 1"
             )
+        if self.copies_per_change > 0:
+            if self.change_fraction > 0 or self.channel_noise_fraction != 1:
+                raise ValueError(
+                    "copies_per_change says how many images get each change: leave change_fraction at 0 and "
+                    "channel_noise_fraction at 1"
+                )
+            switches = (self.flip_rows, self.flip_columns, self.rotation_deg, self.translation)
+            if not any((*switches, self.channel_noise_sigma)):
+                raise ValueError("copies_per_change needs a change to make: switch one on, such as flip_rows")
         if self.frequencies_hz is not None and list(self.frequencies_hz) != sorted(set(self.frequencies_hz)):
             raise ValueError("frequencies_hz must ascend, each once")
         if self.least_reflectance < 1 and "residual" not in self.channels:
@@ -192,6 +209,8 @@ class TrainSettings:
             )
         if "wall" in self.channels and not self.reference.startswith("self"):
             raise ValueError(f"channels {self.channels} show the wall that a fit finds: take reference self")
+        if self.mask_gradient == "depth" and (self.mask_from != "depth" or self.target != "components"):
+            raise ValueError("mask_gradient depth needs mask_from depth and target components")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
         if self.uncertainty and not self.predicts_probability:

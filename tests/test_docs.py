@@ -116,10 +116,29 @@ def test_the_benchmarks_of_a_page_have_the_options_that_it_gives_them(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_the_tests_that_a_page_names_exist(page):
-    named = set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text()))
+    text = page.read_text()
+    named = set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", text))
+    assert len(re.findall(r"::test_", text)) == len(re.findall(r"`tests/[\w/]+\.py::test_", text))
     assert [
         f"{file}::{test}" for file, test in named if f"\ndef {test}(" not in (ROOT / file).read_text()
     ] == []
+
+
+def test_each_statement_of_the_paper_has_a_mark_and_what_is_done_has_a_test_or_a_command():
+    text = (ROOT / "docs/paper.md").read_text()
+    rows = [[cell.strip() for cell in row.split(" | ")] for row in re.findall(r"^\| (.*) \|$", text, re.M)]
+    statements = [row for row in rows if len(row) == 6 and re.match(r"[\d-]", row[0])]
+    assert len(statements) > 100
+    marks = {row[0] for row in rows if len(row) == 2}
+    wrong = []
+    for _, paper, mark, _, _, where in statements:
+        found = set(re.findall(r"\*[a-z]+\*", mark))
+        done = found & {"*exact*", "*deviation*"}
+        if not (found <= marks and (found or mark == "-")) or (
+            done and not re.search(r"::test_|benchmarks/\w+\.py", where)
+        ):
+            wrong.append((paper, mark, where))
+    assert wrong == []
 
 
 def test_docstrings_cite_sections_that_the_design_page_has():

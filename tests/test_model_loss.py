@@ -1,6 +1,7 @@
 """Loss and readout give the numbers computed by hand, and gradients that lead away from every bad output."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -248,6 +249,20 @@ def test_a_mask_of_the_depth_has_the_gradient_of_the_amplitude():
     mask.sum().backward()
     directions = [[[-0.6, 0.8, 0.6, 0.0]], [[0.8, -0.6, 0.8, 0.0]]]  # none beyond the amplitude 1
     torch.testing.assert_close(output.grad[0], torch.tensor(directions, dtype=torch.float64))
+
+
+def test_a_mask_of_the_depth_can_have_the_gradient_of_the_depth_where_the_mask_can_change():
+    output = torch.tensor([[[[-0.6, 0.8, 0.03]], [[0.8, -0.6, 0.04]]]], dtype=torch.float64)
+    # d phase = (-Im, Re) / amplitude^2; the last pixel is in the dead zone, and its amplitude counts as 0.05.
+    per_metre = np.array([[[-0.8, 0.6, -0.04 / 0.05**2]], [[-0.6, 0.8, 0.03 / 0.05**2]]])
+    expected = torch.from_numpy(BY_DEPTH.metres_per_radian * per_metre)
+    by_phase = replace(BY_DEPTH, mask_gradient="depth")
+    for sign, moves in ((1, [1.0, 1.0, 0.0]), (-1, [0.0, 0.0, 1.0])):  # lower the mask; raise it
+        leaf = output.clone().requires_grad_()
+        mask = by_phase.mask(leaf)
+        assert torch.equal(mask, BY_DEPTH.mask(output))
+        (sign * mask).sum().backward()
+        torch.testing.assert_close(leaf.grad[0], sign * expected * torch.tensor(moves, dtype=torch.float64))
 
 
 def test_the_gradient_of_a_depth_whose_mask_is_its_own_is_that_of_the_phase_everywhere():

@@ -96,7 +96,7 @@ def test_batches_hold_the_rows_in_the_order_wanted_across_windows(shards, window
     for _ in range(2):  # rows that stay in memory are used again in the next epoch
         for expected, batches in (
             (rows, list(feed.in_order(batch_size))),
-            (shuffled, list(feed.shuffled(batch_size, generator()))),
+            (shuffled, list(feed.in_windows(feed.shuffled_windows(generator()), batch_size))),
         ):
             assert [row for batch in batches for row in batch.rows] == expected
             assert all(len(batch) == batch_size for batch in batches[:-1])

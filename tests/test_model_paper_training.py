@@ -19,10 +19,11 @@ from model.training.refusals import TrainingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SMALL = {"width": 2, "batch_size": 3, "learning_rate": 1e-3, "device": "cpu", "progress": False}
+FEW_COPIES = {"copies_per_change": 1}  # as there are few scenes
 
 
 def paper(**changes) -> TrainSettings:
-    return settings_from_dict(training_preset("paper")[0] | SMALL | changes, "paper")
+    return settings_from_dict(training_preset("paper")[0] | SMALL | FEW_COPIES | changes, "paper")
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +34,18 @@ def paper_run(closed_form_scenes, tmp_path_factory):
 
 
 def test_the_preset_of_the_paper_has_the_numbers_of_text_and_released_code():
-    chosen = paper()
+    chosen = settings_from_dict(training_preset("paper")[0], "paper")
     assert (chosen.channel_noise_sigma, chosen.noise_sigma) == (1.0, 0.0)
-    assert chosen.change_fraction == pytest.approx(403 / 2833, rel=1e-12)
-    assert (chosen.balance, chosen.alpha) == ("dataset", 1 / 7)
-    assert (chosen.patience, chosen.min_delta) == (150, 0.015)
+    assert (chosen.copies_per_change, chosen.change_fraction) == (403, 0.0)
+    assert (chosen.flip_rows, chosen.flip_columns) == (True, True)
+    assert (chosen.rotation_deg, chosen.translation) == (180, 0.2)
+    assert (chosen.loss, chosen.loss_on, chosen.balance, chosen.alpha) == (
+        *("mae+iou", "components", "dataset", 1 / 7),
+    )
+    assert (chosen.max_epochs, chosen.patience, chosen.min_delta) == (1500, 150, 0.015)
     assert (chosen.mask_from, chosen.dead_zone, chosen.amplitude_divisor) == ("depth", 0.05, "maximum")
+    assert (chosen.width, chosen.batch_size, chosen.learning_rate) == (32, 32, 1e-4)
+    assert (chosen.schedule, chosen.warm_up_epochs) == ("constant", 0)
 
 
 def test_the_run_records_the_ratio_and_the_amplitude_of_its_training_scenes(paper_run, shards):
@@ -109,6 +116,7 @@ def test_run_files_of_before_these_settings_predict_as_before(closed_form_scenes
     new = {
         *("amplitude_divisor", "balance", "mask_from", "mask_depth_m"),
         *("channel_noise_sigma", "channel_noise_fraction", "change_fraction"),
+        *("copies_per_change", "mask_gradient"),
     }
     assert new <= known["settings"].keys()
     edit_config(run, settings={k: v for k, v in known["settings"].items() if k not in new})

@@ -87,6 +87,8 @@ class Draws:
     shift : (N, 2) in [-1, 1).
     noise_seed : (N,) int64, seed of each image's noise, of the phasors and of the channels. Because every
         image has its own, its noise does not depend on its batch or process.
+    kind : (N,) int64, place in `KINDS` of the one change of each image, or `UNCHANGED` for none of them;
+        None if the augmentation decides.
     """
 
     coins: Tensor
@@ -94,6 +96,7 @@ class Draws:
     shift: Tensor
     brightness: Tensor
     noise_seed: Tensor
+    kind: Tensor | None = None
 
     @classmethod
     def of(cls, count: int, generator: torch.Generator) -> Draws:
@@ -108,10 +111,12 @@ class Draws:
         )
 
     def __getitem__(self, which: slice | list[int]) -> Draws:
-        return Draws(*(getattr(self, field.name)[which] for field in fields(self)))
+        arrays = [getattr(self, field.name) for field in fields(self)]
+        return Draws(*(None if array is None else array[which] for array in arrays))  # type: ignore[arg-type]
 
 
 KINDS = ("flip_rows", "flip_columns", "rotation", "shift", "channel_noise")  # the paper's changes
+UNCHANGED = len(KINDS)
 
 
 @dataclass(frozen=True)
@@ -135,11 +140,12 @@ class Augmentation:
     noise_sigma : standard deviation of Gaussian noise on each phasor component, as a fraction of the pixel's
         amplitude at the first frequency.
     channel_noise_sigma : standard deviation of Gaussian noise on every input channel, in the channel's own
-        unit. In the paper's channels, 1 is about 500 times the hidden light of a pixel; in the residual
+        unit. In the paper's channels, 1 is about 170 times the hidden light of a pixel; in the residual
         channels, which have unit variance, it is as much as the hidden light (docs/training.md).
     channel_noise_fraction : probability with which an image gets the noise of the channels.
     change_fraction : if it is not 0, an image gets at most one change of `KINDS`, each with this probability;
         `channel_noise_fraction` is then 1. With 0, changes are independent, and an image may get several.
+        Draws that say the kind of change of an image (`model.data.enlarged_set`) take its place.
 
     Source: Caligiuri et al. 2024, sec. 4.2 (flips, rotation, translation, and noise with deviation 1). That
     the noise is on the channels, and that each change is made to images of its own, is the released code's.
@@ -165,8 +171,8 @@ class Augmentation:
         """The geometric transform of each image."""
         flip_rows, flip_columns = draws.coins[:, 0], draws.coins[:, 1]
         turn, shift = draws.turn, draws.shift
-        if self.change_fraction:
-            kinds = self._kinds(draws)
+        kinds = self._kinds(draws)
+        if kinds is not None:
             flip_rows, flip_columns = kinds == KINDS.index("flip_rows"), kinds == KINDS.index("flip_columns")
             turn = turn * (kinds == KINDS.index("rotation"))
             shift = shift * (kinds == KINDS.index("shift"))[:, None]
@@ -177,8 +183,22 @@ class Augmentation:
             shift=shift * self.translation,
         )
 
-    def _kinds(self, draws: Draws) -> Tensor:
-        """(N,) place in `KINDS` of the one change of each image; len(KINDS) or more for none."""
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Those of `KINDS` that are switched on."""
+        switches = (
+            *(self.flip_rows, self.flip_columns, self.rotation_deg, self.translation),
+            self.channel_noise_sigma,
+        )
+        return tuple(kind for kind, switch in zip(KINDS, switches, strict=True) if switch)
+
+    def _kinds(self, draws: Draws) -> Tensor | None:
+        """(N,) place in `KINDS` of the one change of each image, `UNCHANGED` or more for none.
+
+        None if changes are independent.
+        """
+        if draws.kind is not None or not self.change_fraction:
+            return draws.kind
         shares = torch.tensor([_share(int(seed), 4) for seed in draws.noise_seed], dtype=torch.float64)
         return (shares / self.change_fraction).floor().long()
 
@@ -210,8 +230,9 @@ class Augmentation:
         if not (self.channel_noise_sigma > 0 and self.channel_noise_fraction > 0):
             return channels
         fractions = [self.channel_noise_fraction] * len(draws.noise_seed)
-        if self.change_fraction > 0:
-            fractions = (self._kinds(draws) == KINDS.index("channel_noise")).double().tolist()
+        kinds = self._kinds(draws)
+        if kinds is not None:
+            fractions = (kinds == KINDS.index("channel_noise")).double().tolist()
         noise = [
             _channel_noise(channels[0], int(seed), fraction)
             for seed, fraction in zip(draws.noise_seed, fractions, strict=True)

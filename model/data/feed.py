@@ -28,7 +28,7 @@ class Feed:
 
     Attributes
     ----------
-    rows : rows of the shards, in ascending order.
+    rows : rows of the shards, one for each sample of an epoch; a row that comes more than once is held once.
     window_rows : rows that are held at once; a window holds the rows of at least one piece.
 
     Parameters
@@ -44,6 +44,7 @@ class Feed:
         prepare: Callable[[RowBlock], RowBlock] = _as_read,
     ) -> None:
         self.rows, self.window_rows = list(rows), window_rows
+        self.distinct_rows = sorted(set(self.rows))
         self._shards, self._per_piece = shards, shards.manifest.scenes_per_piece
         self._prepare = prepare
         self._held: RowBlock | None = None
@@ -51,32 +52,37 @@ class Feed:
     @property
     def is_resident(self) -> bool:
         """Whether all rows stay in memory."""
-        return len(self.rows) <= self.window_rows
+        return len(self.distinct_rows) <= self.window_rows
 
     def hold(self) -> None:
         """Read and prepare all rows, if they stay in memory and this has not been done."""
         if self.is_resident and self._held is None:
-            self._held = self._prepare(self._shards.read(self.rows))
+            self._held = self._prepare(self._shards.read(self.distinct_rows))
 
-    def shuffled(self, batch_size: int, generator: torch.Generator, *, skip: int = 0) -> Iterator[RowBlock]:
-        """Batches with every row once, in random order.
+    def shuffled_windows(self, generator: torch.Generator) -> list[list[int]]:
+        """All `rows` in random order, in the windows in which `in_windows` reads them."""
+        at_once = len(self.rows) if self.is_resident else self.window_rows
+        return shuffled_windows(self.rows, self._per_piece, at_once, generator)
 
-        `generator` is used during this call only, not while the batches are read. The first `skip` batches
-        are neither read nor delivered; a resumed epoch used them before.
+    def in_windows(
+        self, windows: Sequence[list[int]], batch_size: int, *, skip: int = 0
+    ) -> Iterator[RowBlock]:
+        """Batches of the rows of `windows`, in their order.
+
+        The first `skip` batches are neither read nor delivered; a resumed epoch used them before.
         """
-        windows = shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)
         return _batches(self._blocks(without_first(windows, skip * batch_size)), batch_size)
 
     def in_order(self, batch_size: int) -> Iterator[RowBlock]:
         """Batches with every row once, in ascending order."""
-        windows = windows_in_order(self.rows, self._per_piece, self.window_rows)
-        return _batches(self._blocks(windows), batch_size)
+        windows = windows_in_order(self.distinct_rows, self._per_piece, self.window_rows)
+        return self.in_windows(windows, batch_size)
 
     def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
         """The rows of each window in order, and a block that holds them."""
         self.hold()
         if self._held is None:
-            yield from _read_ahead(lambda rows: self._prepare(self._shards.read(rows)), windows)
+            yield from _read_ahead(lambda rows: self._prepare(self._shards.read(sorted(set(rows)))), windows)
             return
         held = self._held
         yield from ((window, held) for window in windows)

@@ -34,6 +34,7 @@ def shuffled_windows(
     """Windows of at most `window_rows` rows or of one piece, with all rows in random order."""
     if len(rows) <= window_rows:
         return [_shuffled(rows, generator)]
+    # Rows that come more than once stay in one window, with their piece.
     pieces = _shuffled(rows_by_piece(rows, rows_per_piece), generator)
     return [_shuffled(window, generator) for window in _dealt(pieces, window_rows)]
 

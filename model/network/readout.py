@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
-from model.settings import MaskSource, Target, TrainSettings
+from model.settings import MaskGradient, MaskSource, Target, TrainSettings
 
 # The gradient of the phase is 1 / amplitude and diverges at 0. Below this amplitude, the dead zone of the
 # paper's released code, it is that of this amplitude.
@@ -35,6 +35,7 @@ class Readout:
         and depth 0, so it is background; so is a pixel whose Re alone is above 0, at any amplitude.
     mask_depth_m : threshold of the depth, metres.
     target : what the output is; ``depth``: radial depth in metres, whose mask is that of the depth.
+    mask_gradient : what moves a mask that is taken from the depth of a phasor: its amplitude, or that depth.
 
     Raises
     ------
@@ -50,6 +51,7 @@ class Readout:
     mask_from: MaskSource = TrainSettings.mask_from
     mask_depth_m: float = TrainSettings.mask_depth_m
     target: Target = TrainSettings.target
+    mask_gradient: MaskGradient = TrainSettings.mask_gradient
 
     def __post_init__(self) -> None:
         if self.target == "depth" and self.mask_from != "depth":
@@ -99,14 +101,14 @@ class Readout:
         necessary: beyond amplitude 1 the mask does not change, but the gradient of an unclipped amplitude is
         about ten times that of the mean absolute error on every object pixel and drives amplitudes to 1e17.
         A mask from the depth has this gradient, too: the depth of a pixel appears and disappears with its
-        amplitude, at the dead zone. The gradient of the depth itself would only turn phases, and with it
-        trainings end at "no object" (docs/results.md).
+        amplitude, at the dead zone. The gradient of the depth itself (`mask_gradient`) only turns phases, and
+        with it trainings end at "no object" (docs/results.md).
 
-        *Of a predicted depth.* The gradient is that of the depth in metres, in the pixels whose mask would
+        *Of a depth.* The gradient is that of the depth in metres, in the pixels whose mask would
         change if the gradient were followed far enough: those that show the object and should not, and the
         reverse. Without this condition, the depth of every pixel that is right would grow without bound.
         """
-        if self.target == "depth":
+        if self.target == "depth" or (self.mask_from == "depth" and self.mask_gradient == "depth"):
             return self._mask_of_depth(self._depth_everywhere_m(output))
         if self.mask_from == "depth":
             shown = self._depth_everywhere_m(output.detach()) > self.mask_depth_m  # (N, H, W)
@@ -140,7 +142,7 @@ class Readout:
         return mask * self._depth_of_components_m(z)
 
     def _mask_of_depth(self, depth_m: Tensor) -> Tensor:
-        """(N, H, W) float mask of a predicted depth before the threshold."""
+        """(N, H, W) float mask of a depth before the threshold."""
         hard = (depth_m > self.mask_depth_m).to(depth_m.dtype)
         surrogate = depth_m.clone()
         if surrogate.requires_grad:

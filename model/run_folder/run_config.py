@@ -46,6 +46,8 @@ _LATER: Final = (
     "uncertainty",
     "sensor",
     "sensor_capture",
+    "copies_per_change",
+    "mask_gradient",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
@@ -151,6 +153,7 @@ class RunConfig:
             mask_from="depth" if settings.target == "depth" else settings.mask_from,
             mask_depth_m=settings.mask_depth_m,
             target=settings.target,
+            mask_gradient=settings.mask_gradient,
         )
 
     def network(self, generator: torch.Generator | None = None) -> UNet:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,7 +22,7 @@ from model.training.interruption import Interruption
 from model.training.loss_watch import LossError, LossWatch
 from model.training.optimisation import learning_rate
 from model.training.refusals import TrainingError
-from model.training.state import TrainingState
+from model.training.state import TrainingState, epoch_seed
 from model.training.uncertainty_fit import UncertaintyFit
 from scenegen.progress import Progress
 
@@ -41,9 +40,10 @@ def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: In
     feed, size = state.feeds["train"], state.settings.batch_size
     # Order and augmentation depend only on seed and epoch, so they are the same after a resume.
     epoch = len(state.history) + 1
-    generator = torch.Generator().manual_seed(_epoch_seed(state.settings.seed, epoch))
-    blocks = feed.shuffled(size, generator, skip=state.batches_done)
-    draws = Draws.of(len(feed.rows), generator)
+    generator = torch.Generator().manual_seed(epoch_seed(state.settings.seed, epoch))
+    windows = feed.shuffled_windows(generator)
+    blocks = feed.in_windows(windows, size, skip=state.batches_done)
+    draws = _draws(state, [row for window in windows for row in window], generator)
     watch = LossWatch(epoch, state.shards.ids, every=_check_every(state))
     for block in blocks:
         mine = state.processes.share(range(len(block)))
@@ -61,6 +61,13 @@ def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: In
             save_if_due(state, out, interruption, watch)
     _watch(watch)
     return float(state.processes.total(state.loss_total)) / len(feed.rows)
+
+
+def _draws(state: TrainingState, order: Sequence[int], generator: torch.Generator) -> Draws:
+    """Random numbers of the samples of an epoch, whose rows come in this order."""
+    if state.enlarged is None:
+        return Draws.of(len(order), generator)
+    return state.enlarged.draws_in_order(order, generator)
 
 
 @torch.no_grad()
@@ -161,8 +168,3 @@ def _refuse_bad_validation(record: EpochRecord, bad_outputs: bool) -> None:
             f"the validation loss became {value} in epoch {record.epoch}: try a smaller "
             "learning rate or clip_norm; the run keeps its last checkpoint"
         )
-
-
-def _epoch_seed(seed: int, epoch: int) -> int:
-    """Seed of an epoch's random numbers, independent of those of other epochs and seeds."""
-    return int(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0] >> np.uint64(1))

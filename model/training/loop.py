@@ -220,7 +220,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
         return _result(state)
     before = min(done * scenes + state.batches_done * state.settings.batch_size, max_epochs * scenes)
     if state.settings.progress and is_first:
-        _log.info("preparing %d scenes", sum(len(feed.rows) for feed in state.feeds.values()))
+        _log.info("preparing %d scenes", sum(len(feed.distinct_rows) for feed in state.feeds.values()))
     for feed in state.feeds.values():
         feed.hold()  # before the first epoch, whose speed would be that of reading
     shown = showing_progress(

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from model.data.augmentation import Augmentation
 from model.data.batches import BatchMaker
+from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed, window_rows
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
@@ -44,6 +47,7 @@ class TrainingState:
     ----------
     run_id : id of the run, which weights and checkpoint repeat.
     step, optimisation : network and optimiser.
+    enlarged : the samples of an epoch, if the training set is enlarged once; else None.
     maker, feeds : make the batches of the training and validation scenes.
     history : record of each finished epoch.
     uncertainty : factors that make the probabilities and expected errors of the last validation hold.
@@ -75,6 +79,7 @@ class TrainingState:
             sensor_capture=settings.sensor_capture,
             walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
         )
+        self.enlarged = _enlarged(rows_of(shards, "train", settings), settings)
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
         steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
@@ -86,10 +91,13 @@ class TrainingState:
         self.saved_at = time.monotonic()
 
     def _feed(self, split: Split, memory_bytes: int | None) -> Feed:
-        rows = rows_of(self.shards, split, self.settings)
+        rows: Sequence[int] = rows_of(self.shards, split, self.settings)
+        held = len(rows)
+        if split == "train" and self.enlarged is not None:
+            rows = self.enlarged.rows
         sharers = processes_of_this_machine()
         window = window_rows(
-            *(self.shards, len(rows), memory_bytes, self.processes.device, sharers),
+            *(self.shards, held, memory_bytes, self.processes.device, sharers),
             added_bytes=self.maker.reference_bytes,
         )
         # The window decides the order of the rows, which must be the same in all processes.
@@ -214,3 +222,19 @@ def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:
     """Rows of a split that a training uses, in ascending order."""
     rows = list(shards.rows(split))
     return rows[: settings.train_scenes] if split == "train" else rows
+
+
+def epoch_seed(seed: int, epoch: int) -> int:
+    """Seed of an epoch's random numbers, independent of those of other epochs and seeds.
+
+    The first epoch is 1. Of 0 is the enlarged training set, which is drawn once.
+    """
+    return int(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _enlarged(rows: Sequence[int], settings: TrainSettings) -> EnlargedSet | None:
+    """The samples of every epoch; None if images are changed anew in each."""
+    if settings.copies_per_change == 0:
+        return None
+    generator = torch.Generator().manual_seed(epoch_seed(settings.seed, 0))
+    return EnlargedSet.of(rows, Augmentation.of(settings), settings.copies_per_change, generator)

@@ -1,0 +1,114 @@
+"""The training set that is enlarged once, as in the paper's released code."""
+
+from collections import Counter
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from training_runs import assert_same_end, config_of, settings
+
+from model.data.augmentation import KINDS, UNCHANGED, Augmentation
+from model.data.enlarged_set import EnlargedSet
+from model.data.feed import Feed
+from model.data.shards import open_shards
+from model.settings import TrainSettings
+from model.training.loop import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+PAPER = Augmentation(
+    flip_rows=True, flip_columns=True, rotation_deg=180, translation=0.2, channel_noise_sigma=1.0
+)
+ROWS = tuple(range(100, 860 + 100))
+COPIES = {"copies_per_change": 5, "max_epochs": 2}
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def test_the_papers_numbers_of_scenes_and_copies_give_2875_samples_with_one_change_each():
+    enlarged = EnlargedSet.of(ROWS, PAPER, 403, generator())
+    assert len(enlarged.rows) == 860 + 5 * 403
+    assert enlarged.rows[:860] == ROWS
+    assert Counter(enlarged.draws.kind.tolist()) == {UNCHANGED: 860} | dict.fromkeys(range(5), 403)
+    for kind in range(len(KINDS)):
+        copied = [enlarged.rows[place] for place in np.flatnonzero(enlarged.draws.kind == kind)]
+        assert len(set(copied)) == 403  # no scene twice, as there are more scenes than copies
+    warp, channels = PAPER.warp(enlarged.draws), torch.zeros(2875, 1, 1, 2)
+    noisy = (PAPER.seen(channels, enlarged.draws) != 0).any(dim=(1, 2, 3))
+    changed = [warp.flip_rows, warp.flip_columns, warp.angle_rad != 0, (warp.shift != 0).any(dim=1), noisy]
+    for kind, samples in enumerate(changed):
+        assert torch.equal(samples, enlarged.draws.kind == kind)
+
+
+def test_only_changes_that_are_switched_on_have_copies_and_scenes_repeat_when_all_have_come():
+    enlarged = EnlargedSet.of(ROWS[:4], replace(PAPER, rotation_deg=0.0, flip_columns=False), 6, generator())
+    assert len(enlarged.rows) == 4 + 3 * 6
+    assert set(enlarged.draws.kind.tolist()) == {0, 3, 4, UNCHANGED}
+    shifted = Counter(enlarged.rows[place] for place in np.flatnonzero(enlarged.draws.kind == 3))
+    assert sorted(shifted.values()) == [1, 1, 2, 2]
+
+
+def test_every_epoch_has_every_sample_once_with_its_own_draws():
+    enlarged = EnlargedSet.of(ROWS[:7], PAPER, 5, generator())
+    number = {int(seed): sample for sample, seed in enumerate(enlarged.draws.noise_seed)}
+    orders = []
+    for epoch in (1, 2):
+        order = torch.tensor(enlarged.rows)[torch.randperm(32, generator=generator(epoch))].tolist()
+        draws = enlarged.draws_in_order(order, generator(epoch))
+        samples = [number[int(seed)] for seed in draws.noise_seed]
+        assert sorted(samples) == list(range(32))
+        assert [enlarged.rows[sample] for sample in samples] == order
+        for field in fields(draws):
+            assert torch.equal(getattr(draws, field.name), getattr(enlarged.draws, field.name)[samples])
+        orders.append([sample for sample in samples if enlarged.rows[sample] == ROWS[0]])
+    assert sorted(orders[0]) == sorted(orders[1])
+    assert orders[0] != orders[1]  # samples of one scene come in random order, too
+
+
+@pytest.mark.parametrize("window_rows", [6, 2])  # all in memory; streamed
+def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(closed_form_scenes, window_rows):
+    shards = open_shards(closed_form_scenes)
+    distinct = list(shards.rows("train"))[:6]
+    rows, read = [*distinct, *distinct[:3], distinct[0]], []
+
+    def prepare(block):
+        read.append(block.rows)
+        return block
+
+    feed = Feed(shards, rows, window_rows, prepare)
+    windows = feed.shuffled_windows(generator())
+    blocks = list(feed.in_windows(windows, 4))
+    assert [len(block) for block in blocks] == [4, 4, 2]
+    assert Counter(row for block in blocks for row in block.rows) == Counter(rows)
+    assert [row for block in blocks for row in block.rows] == [row for window in windows for row in window]
+    assert sorted(row for block in read for row in block) == distinct
+    for block in blocks:
+        np.testing.assert_array_equal(block.mask, shards.read(block.rows).mask)
+    assert [row for block in feed.in_order(4) for row in block.rows] == distinct
+    later = list(feed.in_windows(windows, 4, skip=1))
+    assert [block.rows for block in later] == [block.rows for block in blocks[1:]]
+
+
+def test_a_resumed_training_ends_as_an_uninterrupted_one(closed_form_scenes, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    result = train(closed_form_scenes, whole, settings(**COPIES))
+    assert result.epochs == 2
+    train(closed_form_scenes, parts, settings(**COPIES | {"max_epochs": 1}))
+    train(closed_form_scenes, parts, settings(**COPIES), resume=True)
+    assert_same_end(parts, whole)
+    assert config_of(whole)["settings"]["copies_per_change"] == 5
+    anew = tmp_path / "anew"
+    train(closed_form_scenes, anew, settings(max_epochs=2))
+    assert (anew / "history.csv").read_bytes() != (whole / "history.csv").read_bytes()
+
+
+def test_settings_that_contradict_the_copies_are_refused():
+    for other in ({"change_fraction": 0.1}, {"channel_noise_fraction": 0.5}):
+        with pytest.raises(ValueError, match="copies_per_change says how many images get each change"):
+            TrainSettings(copies_per_change=2, **other)
+    with pytest.raises(ValueError, match="needs a change to make"):
+        TrainSettings(copies_per_change=2, flip_rows=False)
+    with pytest.raises(ValueError, match="needs mask_from depth"):
+        TrainSettings(mask_gradient="depth")
