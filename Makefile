@@ -3,13 +3,16 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := demo
+# A new seed gives new scenes, in a folder of their own.
+SEED ?= 2026
+JUDGE := judge-$(SEED)
 # Tests run in two processes; each needs up to 4 GB. `make test TEST_PROCESSES=0` runs them in one.
 TEST_PROCESSES ?= 2
 PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist loadfile
 # One process, which runs two commands at a time and has one seed and one table of results.
 FUZZ := $(BIN)/pytest tests/fuzz
 
-.PHONY: setup demo test test-long fuzz lint clean
+.PHONY: setup demo judge test test-long fuzz lint clean
 
 setup: $(VENV)/.installed
 
@@ -47,6 +50,12 @@ demo: setup
 	$(BIN)/night-render $(DEMO)/dataset --workers 2
 	$(BIN)/night-train $(DEMO)/dataset --out $(DEMO)/run --preset demo $(if $(wildcard $(DEMO)/run/run.json),--resume)
 	$(BIN)/night-eval $(DEMO)/run $(DEMO)/dataset --split test --out $(DEMO)/report
+
+# The network that comes with NIGHT, judged on 269 new scenes that nobody has seen: `make judge SEED=7`.
+judge: setup
+	$(BIN)/night-gen scenes $(JUDGE) --preset judge --seed $(SEED)
+	$(BIN)/night-render $(JUDGE) --product itof --resolution 80x60 --workers 2
+	$(BIN)/night-eval night-80x60 $(JUDGE) --out $(JUDGE)_report
 
 clean:
 	rm -rf $(DEMO)

@@ -17,25 +17,19 @@ from scenegen import NightError, PathLike, PresetError, inside, read_settings
 from scenegen.contract import STRICT, Positive, WholeCount, checked
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
-CHANNELS: tuple[Channels, ...] = ("paper", "residual", "paper+residual", "residual+wall")
 AmplitudeDivisor = Literal["mean", "maximum"]
 Reference = Literal["geometry", "capture", "self", "self+wiggling"]
 LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth"]
-LOSSES: tuple[LossName, ...] = ("mae", "mse", "mae+iou", "mse+iou", "mae+lovasz", "bce+iou+depth")
 Balance = Literal["image", "dataset", "class-means"]
 Target = Literal["components", "depth", "mask+depth"]
 GroundTruth = Literal["geometry", "simulated"]
 LossTarget = Literal["components", "depth"]
-LOSS_TARGETS: tuple[LossTarget, ...] = ("components", "depth")
 MaskSource = Literal["amplitude", "depth"]
 MaskGradient = Literal["amplitude", "depth"]
 Freeze = Literal["none", "encoder", "all-but-head", "all-but-uncertainty"]
 DeviceName = Literal["auto", "cpu", "cuda"]
-DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
 Precision = Literal["auto", "float32", "bfloat16", "float16"]
-PRECISIONS: tuple[Precision, ...] = ("auto", "float32", "bfloat16", "float16")
 Schedule = Literal["constant", "cosine"]
-SCHEDULES: tuple[Schedule, ...] = ("constant", "cosine")
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
 # A run that starts from the weights of another one has its network and input, and by default its readout and
 # the loss that goes with it.
