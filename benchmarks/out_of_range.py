@@ -65,6 +65,10 @@ ROWS = (
     ),
     Row("roughness of the wall 0.2", "glossy", "[relay_wall]\nroughness = [0.2]"),
     Row("diffuse wall", "diffuse", '[relay_wall]\nmaterial = "diffuse"'),
+    Row(
+        *("wall that gets darker towards one side, to 0.2 to 1", "gradient"),
+        "[relay_wall]\nleast_reflectance = 0.2",
+    ),
     Row("object of reflectance 0.3", "dark", "[hidden_object]\nreflectance = 0.3"),
     Row("objects of 0.7 times the size", "small", sizes(0.7)),
     Row("objects of 1.2 times the size", "large", sizes(1.2)),

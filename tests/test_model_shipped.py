@@ -18,7 +18,7 @@ ROOT = Path(__file__).parent.parent
 MOST_BYTES = 40e6  # of all of them
 RUNS = model.shipped_runs()
 # Scenes that a network is for, and what 30 of them must give. Its card says more; single scenes scatter by
-# 0.08 and 1.8 cm, their mean by a fifth of that.
+# 0.1 and 1 to 2 cm, their mean by a fifth of that.
 ONE_CORNER = ("judge", 0.82, 0.04)  # preset, smallest mIoU, largest MAE in metres
 SCENES = {"any-corner-40x30": ("judge-any-corner", 0.76, 0.05)}
 
