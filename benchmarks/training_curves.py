@@ -30,7 +30,7 @@ def main() -> None:
     """Print the table, draw the curves, and extrapolate where asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", type=Path, nargs="+", help="run folders")
-    parser.add_argument("--scenes", type=int, required=True, help="training scenes, which are an epoch")
+    parser.add_argument("--scenes", type=int, required=True, help="samples of an epoch")
     parser.add_argument("--out", type=Path, required=True, help="picture to write")
     parser.add_argument("--rows", type=int, default=8, help="rows of the table for each run, default 8")
     parser.add_argument("--law-from", type=int, help="samples from which on a power law is fitted")

@@ -93,8 +93,8 @@ class TrainSettings:
     mask_from: MaskSource = "amplitude"
     """What of the output says whether a pixel shows the object; depth as in the paper."""
     mask_gradient: MaskGradient = "amplitude"
-    """With mask_from depth: what moves the mask in the training. With depth, as in the released code, the
-    training ends at no object (docs/results.md)."""
+    """With mask_from depth and a loss with iou: what moves the mask in the training. With depth, as in the
+    released code, the training ends at no object (docs/results.md)."""
     mask_threshold: Positive = 0.5
     """Amplitude of the output from which on a pixel shows the object."""
     mask_depth_m: NotNegative = 0.0
@@ -150,8 +150,9 @@ class TrainSettings:
     """Part of the images that get each of five changes, and no other: flips, rotation, shift, channel noise;
     0: an image may get several. The paper's enlarged set has about 1/7 of each."""
     copies_per_change: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """Enlarge the training set once, by so many changed copies of scenes for each of these changes; an epoch
-    has the scenes as they are, and all copies. 0: change every image anew. The released code: 403."""
+    """Enlarge the training set once: so many changed copies of scenes for each change that is switched on, of
+    flips, rotation, shift and channel noise. An epoch has the scenes without these changes, and all copies.
+    0: change every image anew. The released code: 403."""
     precision: Precision = "float32"
     """Number type of the convolutions; auto: bfloat16 where the processor computes in it."""
     channels_last: bool = True
@@ -183,7 +184,8 @@ class TrainSettings:
             if self.change_fraction > 0 or self.channel_noise_fraction != 1:
                 raise ValueError(
                     "copies_per_change says how many images get each change: leave change_fraction at 0 and "
-                    "channel_noise_fraction at 1"
+                    "channel_noise_fraction at 1, or set copies_per_change to 0 (the preset paper has 403; a "
+                    "resumed run needs no preset)"
                 )
             switches = (self.flip_rows, self.flip_columns, self.rotation_deg, self.translation)
             if not any((*switches, self.channel_noise_sigma)):
@@ -203,8 +205,8 @@ class TrainSettings:
             )
         if "wall" in self.channels and not self.reference.startswith("self"):
             raise ValueError(f"channels {self.channels} show the wall that a fit finds: take reference self")
-        if self.mask_gradient == "depth" and (self.mask_from != "depth" or self.target != "components"):
-            raise ValueError("mask_gradient depth needs mask_from depth and target components")
+        if self.mask_gradient == "depth" and self.mask_from != "depth":
+            raise ValueError("mask_gradient depth needs mask_from depth: or take mask_gradient amplitude")
         if self.target == "depth" and self.loss.endswith("+lovasz"):
             raise ValueError(f"loss {self.loss} needs an amplitude, which target depth has not: take mae+iou")
         if self.uncertainty and not self.predicts_probability:

@@ -6,11 +6,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
-from training_runs import assert_same_end, config_of, settings
+from synthetic_dataset import write_synthetic_dataset
+from training_runs import assert_same_end, before_each_network, checkpoint, config_of, settings
 
 from model.data.augmentation import KINDS, UNCHANGED, Augmentation
 from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed
+from model.data.rows import RowLayout
 from model.data.shards import open_shards
 from model.settings import TrainSettings
 from model.training.loop import train
@@ -21,6 +23,7 @@ PAPER = Augmentation(
 )
 ROWS = tuple(range(100, 860 + 100))
 COPIES = {"copies_per_change": 5, "max_epochs": 2}
+ROW_BYTES = RowLayout(24, 14, 3).row_bytes
 
 
 def generator(seed=0):
@@ -67,10 +70,17 @@ def test_every_epoch_has_every_sample_once_with_its_own_draws():
     assert orders[0] != orders[1]  # samples of one scene come in random order, too
 
 
-@pytest.mark.parametrize("window_rows", [6, 2])  # all in memory; streamed
-def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(closed_form_scenes, window_rows):
-    shards = open_shards(closed_form_scenes)
-    distinct = list(shards.rows("train"))[:6]
+@pytest.fixture
+def in_pieces(tmp_path, monkeypatch):
+    """Twelve scenes in pieces of two."""
+    monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * ROW_BYTES)
+    return write_synthetic_dataset(tmp_path / "data", count=12)
+
+
+@pytest.mark.parametrize("window_rows", [1000, 4, 2])  # all in memory; streamed
+def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(in_pieces, window_rows):
+    shards = open_shards(in_pieces)
+    distinct = list(shards.rows("train"))
     rows, read = [*distinct, *distinct[:3], distinct[0]], []
 
     def prepare(block):
@@ -79,28 +89,43 @@ def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(clo
 
     feed = Feed(shards, rows, window_rows, prepare)
     windows = feed.shuffled_windows(generator())
+    assert (len(windows) > 1) == (window_rows < 1000)
+    for window in windows:
+        assert len(set(window)) <= window_rows
+    order = [row for window in windows for row in window]
+    assert Counter(order) == Counter(rows)
     blocks = list(feed.in_windows(windows, 4))
-    assert [len(block) for block in blocks] == [4, 4, 2]
-    assert Counter(row for block in blocks for row in block.rows) == Counter(rows)
-    assert [row for block in blocks for row in block.rows] == [row for window in windows for row in window]
+    assert all(len(block) == 4 for block in blocks[:-1])
+    assert [row for block in blocks for row in block.rows] == order
     assert sorted(row for block in read for row in block) == distinct
     for block in blocks:
-        np.testing.assert_array_equal(block.mask, shards.read(block.rows).mask)
+        np.testing.assert_array_equal(block.phasors, shards.read(block.rows).phasors)
     assert [row for block in feed.in_order(4) for row in block.rows] == distinct
     later = list(feed.in_windows(windows, 4, skip=1))
     assert [block.rows for block in later] == [block.rows for block in blocks[1:]]
 
 
-def test_a_resumed_training_ends_as_an_uninterrupted_one(closed_form_scenes, tmp_path):
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    result = train(closed_form_scenes, whole, settings(**COPIES))
-    assert result.epochs == 2
-    train(closed_form_scenes, parts, settings(**COPIES | {"max_epochs": 1}))
-    train(closed_form_scenes, parts, settings(**COPIES), resume=True)
-    assert_same_end(parts, whole)
-    assert config_of(whole)["settings"]["copies_per_change"] == 5
+def test_a_training_that_was_stopped_in_an_epoch_ends_as_an_uninterrupted_one(in_pieces, tmp_path):
+    course = settings(**COPIES, checkpoint_minutes=0.0)
+    whole, run, batches = tmp_path / "whole", tmp_path / "run", []
+    end = train(in_pieces, whole, course, memory_bytes=8 * ROW_BYTES)
+    samples = len(in_pieces.ids("train")) + 5 * len(Augmentation.of(course).kinds)
+    batches_an_epoch = -(-samples // course.batch_size)
+
+    def stop(network):
+        batches.append(network.training)
+        if sum(batches) == batches_an_epoch + 3 and network.training:  # the third batch of epoch 2
+            raise KeyboardInterrupt
+
+    with before_each_network(stop), pytest.raises(KeyboardInterrupt):
+        train(in_pieces, run, course, memory_bytes=8 * ROW_BYTES)
+    state = checkpoint(run)
+    assert (len(state["history"]), state["position"]["batches"]) == (1, 2)
+    assert train(in_pieces, run, course, resume=True, memory_bytes=8 * ROW_BYTES) == end
+    assert_same_end(run, whole)
+    assert config_of(run)["settings"]["copies_per_change"] == 5
     anew = tmp_path / "anew"
-    train(closed_form_scenes, anew, settings(max_epochs=2))
+    train(in_pieces, anew, settings(max_epochs=2), memory_bytes=8 * ROW_BYTES)
     assert (anew / "history.csv").read_bytes() != (whole / "history.csv").read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""The enlarged training set of the paper: every scene as it is, and changed copies that are drawn once."""
+"""The enlarged training set of the paper: every scene without a change, and changed copies, drawn once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from model.data.augmentation import KINDS, UNCHANGED, Augmentation, Draws
 class EnlargedSet:
     """S samples: the N training scenes themselves, then `copies` copies of scenes for each kind of change.
 
-    A sample is the same in every epoch, because its random numbers are drawn once.
+    A sample is the same in every epoch, because its random numbers are drawn once; so are its noise of the
+    phasors, brightness, reflectance and camera, if these are switched on.
 
     Attributes
     ----------
@@ -34,7 +35,7 @@ class EnlargedSet:
     def of(
         cls, rows: Sequence[int], augmentation: Augmentation, copies: int, generator: torch.Generator
     ) -> EnlargedSet:
-        """Samples of `rows` for each kind of change that `augmentation` makes, at least one of each."""
+        """Samples of `rows`: all of them, and `copies`, at least 1, for each change of `augmentation`."""
         scenes = torch.tensor(rows)
         samples, kinds = [scenes], [torch.full((len(rows),), UNCHANGED)]
         for kind in augmentation.kinds:

@@ -61,8 +61,7 @@ class Feed:
 
     def shuffled_windows(self, generator: torch.Generator) -> list[list[int]]:
         """All `rows` in random order, in the windows in which `in_windows` reads them."""
-        at_once = len(self.rows) if self.is_resident else self.window_rows
-        return shuffled_windows(self.rows, self._per_piece, at_once, generator)
+        return shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)
 
     def in_windows(
         self, windows: Sequence[list[int]], batch_size: int, *, skip: int = 0

@@ -31,10 +31,12 @@ def windows_in_order(rows: Iterable[int], rows_per_piece: int, window_rows: int)
 def shuffled_windows(
     rows: Sequence[int], rows_per_piece: int, window_rows: int, generator: torch.Generator
 ) -> list[list[int]]:
-    """Windows of at most `window_rows` rows or of one piece, with all rows in random order."""
-    if len(rows) <= window_rows:
+    """Windows of at most `window_rows` distinct rows or of one piece, with all rows in random order.
+
+    A row may come more than once; it is in one window then, with its piece.
+    """
+    if len(set(rows)) <= window_rows:
         return [_shuffled(rows, generator)]
-    # Rows that come more than once stay in one window, with their piece.
     pieces = _shuffled(rows_by_piece(rows, rows_per_piece), generator)
     return [_shuffled(window, generator) for window in _dealt(pieces, window_rows)]
 
@@ -52,11 +54,15 @@ def without_first(windows: Iterable[list[int]], count: int) -> list[list[int]]:
 
 def _dealt(pieces: Iterable[list[int]], window_rows: int) -> list[list[int]]:
     windows: list[list[int]] = []
+    held = 0  # distinct rows of the last window
     for piece in pieces:
-        if windows and len(windows[-1]) + len(piece) <= window_rows:
+        count = len(set(piece))
+        if windows and held + count <= window_rows:
             windows[-1] += piece
+            held += count
         else:
             windows.append(list(piece))
+            held = count
     return windows
 
 

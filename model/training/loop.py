@@ -224,7 +224,10 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
     for feed in state.feeds.values():
         feed.hold()  # before the first epoch, whose speed would be that of reading
     shown = showing_progress(
-        max_epochs * scenes, "scene", initial=before, show=state.settings.progress and is_first
+        max_epochs * scenes,
+        "sample" if state.enlarged else "scene",
+        initial=before,
+        show=state.settings.progress and is_first,
     )
     log = TrainingLog(out if is_first else None, done)
     with Interruption() as interruption, shown as bar:

@@ -46,6 +46,6 @@ class LossWatch:
         losses = torch.stack(self._losses).tolist() if self._losses else []
         for value, rows in zip(losses, self._rows, strict=True):
             if not (math.isfinite(value) and value < EXPLODED):
-                scenes = ", ".join(self.ids(rows))
+                scenes = ", ".join(dict.fromkeys(self.ids(rows)))
                 raise LossError(f"the loss became {value:.4g} in epoch {self.epoch}, on scenes {scenes}")
         self._losses, self._rows = [], []
