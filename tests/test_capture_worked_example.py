@@ -12,6 +12,7 @@ from night_commands import night_here
 
 from itof import DepthMap
 from model.network.wall_view import wall_view
+from model.prediction.pointclouds import object_points
 from model.refinement.room import in_camera_axes
 from scenegen import open_dataset
 
@@ -105,14 +106,19 @@ def test_the_check_finds_nothing_wrong(example):
         assert found["findings"] == []
 
 
-def test_a_prediction_is_a_point_cloud_where_the_object_is(example, tmp_path):
+def test_predictions_are_point_clouds_where_their_objects_are(example, tmp_path):
     made, pairs = example
-    run("night-eval", "predict", "night-40x30", pairs[0] / "measurement.npz", "--out", tmp_path / "out")
-    cloud = trimesh.load(tmp_path / "out" / "000000.ply").vertices
-    truth = DepthMap.read(made.render_folder(made.ids()[0]) / "mirrored.exr")
-    assert abs(len(cloud) / truth.mask.sum() - 1) < 0.5
-    depth_m = np.median(np.linalg.norm(cloud, axis=1))
-    assert depth_m == pytest.approx(np.median(truth.radial_depth_m[truth.mask]), abs=0.1)
+    fov_deg = made.preset.camera.horizontal_fov_deg
+    truths = [DepthMap.read(made.render_folder(scene) / "mirrored.exr") for scene in made.ids()]
+    middles = [object_points(truth.radial_depth_m, truth.mask, fov_deg).mean(axis=0) for truth in truths]
+    apart_m = np.linalg.norm(middles[0] - middles[1])
+    assert apart_m > 0.3  # so that a prediction that knows nothing of its scene is far from one of them
+    for pair, truth, middle in zip(pairs, truths, middles, strict=True):
+        out = tmp_path / pair.name
+        run("night-eval", "predict", "night-40x30", pair / "measurement.npz", "--out", out)
+        cloud = trimesh.load(out / "000000.ply").vertices
+        assert abs(len(cloud) / truth.mask.sum() - 1) < 0.5
+        assert np.linalg.norm(cloud.mean(axis=0) - middle) < apart_m / 2
 
 
 def test_the_camera_costs_less_than_half_of_the_error_of_perfect_phasors(example, tmp_path):
