@@ -59,9 +59,10 @@ def test_shares_of_a_batch_are_all_of_it_once_and_the_lent_row_counts_nothing(co
 
 # Nine scenes: batches of 4, 4, 1 and of 5, 4. In a batch of one scene, one of the processes has none.
 @pytest.mark.long
-@pytest.mark.parametrize("scenes_a_batch", [4, pytest.param(5, marks=pytest.mark.long)])
-def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batch):
+@pytest.mark.parametrize(("scenes_a_batch", "copies"), [(4, 0), (5, 0), (4, 3)])
+def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batch, copies):
     changes = {"batch_size": scenes_a_batch, "max_epochs": 2, "noise_sigma": 1e-3, "clip_norm": 1.0}
+    changes["copies_per_change"] = copies
     changes["checkpoint_minutes"] = 0.0  # a checkpoint after every batch must not count anything twice
     two = tmp_path / "two"
     assert start(dataset, two, launcher=TORCHRUN, **changes).wait() == 0, errors_of(two).read_text()
