@@ -88,12 +88,13 @@ def main() -> None:
     parser.add_argument("run", help="run folder, or name of a network that comes with NIGHT")
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--scenes", type=int, default=12, help="test scenes with one solid, default 12")
+    parser.add_argument("--rows", type=int, default=len(ROWS), help="only so many rows of the table")
     given = parser.parse_args()
     dataset = open_dataset(given.dataset)
     shards, predictor, room = open_shards(dataset), load(given.run), room_of(dataset)
     rows = single_solids(dataset, shards, given.scenes)
     print(f"{len(rows)} scenes\n\n{HEAD}")
-    for row in ROWS:
+    for row in ROWS[: given.rows]:
         found = [judged(row, predictor, dataset, shards, room, place) for place in rows]
         print(table(row.words, found), flush=True)
 
