@@ -143,14 +143,14 @@ def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
 
 def line(row: Row, summaries: list[Summary]) -> str:
     """A row of the table: the mean over seeds and, if there are several, their standard deviation."""
-    cells = [row.words]
-    for values, digits in (
-        ([100 * s.depth_mae_m.mean for s in summaries], 2),
-        ([s.miou.mean for s in summaries], 3),
-    ):
-        spread = f" ± {stdev(values):.{digits}f}" if len(values) > 1 else ""
-        cells.append(f"{mean(values):.{digits}f}{spread}")
-    return "| " + " | ".join([*cells, row.paper]) + " |"
+    maes, mious = [100 * s.depth_mae_m.mean for s in summaries], [s.miou.mean for s in summaries]
+    return f"| {row.words} | {over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {row.paper} |"
+
+
+def over_seeds(values: Sequence[float], digits: int) -> str:
+    """Mean of the values of several seeds and, if there are several, their standard deviation."""
+    spread = f" ± {stdev(values):.{digits}f}" if len(values) > 1 else ""
+    return f"{mean(values):.{digits}f}{spread}"
 
 
 if __name__ == "__main__":

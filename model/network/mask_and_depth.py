@@ -101,14 +101,18 @@ class MaskAndDepthLoss:
         both = (probability * mask).sum(dim=(1, 2))  # (N,)
         either = (probability + mask).sum(dim=(1, 2)) - both
         overlap = torch.where(either > 0, both / either.clamp_min(1e-12), torch.ones_like(either))
-        expected = self.readout.standardised(radial_depth_m)
-        error = functional.smooth_l1_loss(output[:, 1], expected, reduction="none") * mask
+        error = self.of_depth(output, self.readout.standardised(radial_depth_m)) * mask
+        depth = error.sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1)
+        return (entropy.mean(dim=(1, 2)) + 1 - overlap + depth).mean()
+
+    def of_depth(self, output: Tensor, expected: Tensor) -> Tensor:
+        """(N, H, W) loss of each pixel if it shows the object at this standardised depth."""
+        error = functional.smooth_l1_loss(output[:, 1], expected, reduction="none")
         if self.readout.has_uncertainty:
             scale = log_error(output)
             actual = (output[:, 1] - expected).detach().abs()
-            error = error + (actual * (-scale).exp() + scale) * mask
-        depth = error.sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1)
-        return (entropy.mean(dim=(1, 2)) + 1 - overlap + depth).mean()
+            error = error + actual * (-scale).exp() + scale
+        return error
 
 
 def log_error(output: Tensor) -> Tensor:
