@@ -22,12 +22,12 @@ from itof import read_image
 from itof.sensor.settings import SensorSettings
 from itof.sensor.specimen import specimen
 from itof.wall.empty_corner import captured_wall
+from model.bounces.room import room_of
 from model.data.shards import Shards, open_shards
 from model.exposures.measuring import SceneCamera
 from model.network.wall_view import wall_view
 from model.prediction.predictor import Predictor, load
 from model.refinement.refining import Family, refined
-from model.refinement.room import room_of
 from model.sensors import load_sensor
 from scenegen import MEASUREMENT_FILE, Dataset, open_dataset
 

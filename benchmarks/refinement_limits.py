@@ -24,14 +24,14 @@ from out_of_range import with_noise
 from wall_error import moved_wall
 
 from itof import DepthMap, pixel_rays
+from model.bounces.room import Room, room_of
+from model.bounces.solids import KIND_OF_SHAPE
 from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.network.metrics import ImageMetrics, image_metrics, summarise
 from model.network.wall_view import wall_view
 from model.prediction.predictor import Predictor, load
 from model.refinement.refining import Family, refined
-from model.refinement.room import Room, room_of
-from model.refinement.solids import KIND_OF_SHAPE
 from scenegen import Dataset, open_dataset
 
 HEAD = """| | accepted | network: MAE cm | mIoU | object MAE cm | refined: MAE cm | mIoU | object MAE cm |

@@ -42,6 +42,7 @@ NETWORK_SETTINGS = (
     "block",
     "target",
     "uncertainty",
+    "bounce_images",
 )
 READOUT_SETTINGS = ("loss", "mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone")
 NotNegative = Annotated[float, Field(ge=0)]
@@ -77,6 +78,9 @@ class TrainSettings:
     loss_on and mask_from say. mask+depth goes with the loss bce+iou+depth."""
     uncertainty: bool = False
     """With target mask+depth: a second head predicts the error of the depth; it changes nothing else."""
+    bounce_images: bool = False
+    """The network also sees images of the hidden scene, which a linear inverse of the three bounces makes
+    from its residual channels. For datasets of one corner."""
     ground_truth: GroundTruth = "geometry"
     """Truth from the shape of the mirrored object, or from the simulator's transient of the mirrored scene,
     as in the paper; simulated needs transients."""
@@ -205,6 +209,11 @@ class TrainSettings:
             )
         if "wall" in self.channels and not self.reference.startswith("self"):
             raise ValueError(f"channels {self.channels} show the wall that a fit finds: take reference self")
+        if self.bounce_images and "residual" not in self.channels:
+            raise ValueError(
+                f"bounce_images are made from residual channels, and channels are {self.channels}: set it to "
+                "false (--no-bounce-images)"
+            )
         if self.mask_gradient == "depth" and self.mask_from != "depth":
             raise ValueError("mask_gradient depth needs mask_from depth: or take mask_gradient amplitude")
         if self.target == "depth" and self.loss.endswith("+lovasz"):

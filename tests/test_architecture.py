@@ -57,18 +57,20 @@ WINGS = {
     "model.device": {"model.settings"},
     "model.sensors": set(),
     "model.network": {"model.settings"},
+    "model.bounces": {"model.network"},
     "model.run_folder": {"model.network", "model.settings"},
     "model.data": {"model.network", "model.settings"},
     "model.training": {
         *("model.data", "model.network", "model.run_folder", "model.device", "model.settings"),
-        "model.sensors",
+        *("model.sensors", "model.bounces"),
     },
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
     "model.capture": {"model.prediction"},
     "model.mirror": {"model.capture", "model.network", "model.prediction"},
-    "model.refinement": {"model.network"},
+    "model.refinement": {"model.bounces", "model.network"},
     "model.report": {
         *(
+            "model.bounces",
             "model.refinement",
             "model.prediction",
             "model.data",

@@ -11,9 +11,9 @@ import trimesh
 from night_commands import night_here
 
 from itof import DepthMap
+from model.bounces.room import in_camera_axes
 from model.network.wall_view import wall_view
 from model.prediction.pointclouds import object_points
-from model.refinement.room import in_camera_axes
 from model.run_folder.history import read_history
 from scenegen import open_dataset
 

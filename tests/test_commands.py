@@ -52,7 +52,9 @@ def test_the_four_commands_go_from_nothing_to_a_judged_depth_map(pipeline):
     depth = read_image(dataset.render_folder(dataset.ids("test")[0]) / "mirrored.exr").channel("depth.R")
     distances = np.sort(np.linalg.norm(cloud.vertices, axis=1))
     np.testing.assert_allclose(distances, np.sort(depth[depth > 0]), rtol=1e-5)
-    assert {file.name for file in (folder / "report" / "figures").iterdir()} == FIGURES | UNCERTAINTY
+    figures = {file.name for file in (folder / "report" / "figures").iterdir()}
+    figures.discard("depth_error.png")  # which is there if the prediction shows an object
+    assert figures == FIGURES | UNCERTAINTY
 
 
 def test_a_log_of_a_long_job_holds_lines_of_progress(pipeline):

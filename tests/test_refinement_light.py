@@ -7,13 +7,13 @@ import pytest
 from numpy.linalg import norm
 
 from itof import DepthMap, TransientLayout, pixel_rays
+from model.bounces.room import in_camera_axes, room_of
+from model.bounces.solids import Solid
+from model.bounces.three_bounces import Bounces
 from model.network.wall_view import wall_view
-from model.refinement.bounce import Bounces
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Guess, fitted
 from model.refinement.refining import Family, Refined, refined
-from model.refinement.room import in_camera_axes, room_of
-from model.refinement.solids import Solid
 from scenegen import rotation_matrix
 
 HZ = (20e6, 50e6, 60e6)

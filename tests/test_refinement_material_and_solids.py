@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from model.refinement.rough_wall import reflected
-from model.refinement.solids import KIND_OF_SHAPE, Solid
+from model.bounces.rough_wall import reflected
+from model.bounces.solids import KIND_OF_SHAPE, Solid
 from scenegen.preset import ShapeSizes
 
 NORMAL = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

@@ -121,6 +121,11 @@ class InputSpec:
         return paper + len(self.residual_scale) + self.shows_wall
 
     @property
+    def residual_channels(self) -> tuple[int, int]:
+        """Number of the first residual channel, and how many there are."""
+        return (self._paper_count if "paper" in self.channels else 0), len(self.residual_scale)
+
+    @property
     def reference_count(self) -> int:
         """Values of a pixel in a reference of `reference_for`; 0 if `apply` needs none."""
         return len(self.frequencies_hz) + self.shows_wall if self.uses_residual else 0

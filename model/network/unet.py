@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from model.network.bounce_images import PLANES, BounceImages
 from model.settings import Freeze
 
 LEVELS = 5  # of the encoder; four poolings, so image sizes are padded to multiples of 16 blocks
@@ -35,6 +36,9 @@ class UNet(nn.Module):
     output: the logarithm of the expected error of the depth. It sees the decoder's last features and gives
     them no gradient, so everything else is trained as without it.
 
+    *Images.* With `images`, there are more input channels: images that a linear inverse of the three bounces
+    makes from the others (`model.network.bounce_images`).
+
     *Padding.* An image size that is not a multiple of 16 blocks is padded to the next multiple and the output
     is cropped. The padding is divided as evenly as possible between the two sides, so that a flip of the
     image is a flip of the padded image. It repeats the edge, because zeros would add an edge to a smooth
@@ -55,6 +59,7 @@ class UNet(nn.Module):
     output_channels : 2 for Re and Im, 1 for depth.
     block : pixels per side of a position of the U-Net, at least 1.
     uncertainty : whether there is the second head.
+    images : makes images of the input channels; None for a network without them.
     generator : random generator of the initial weights; None for PyTorch's global one.
 
     Raises
@@ -75,6 +80,7 @@ class UNet(nn.Module):
         output_channels: int = 2,
         block: int = 1,
         uncertainty: bool = False,
+        images: BounceImages | None = None,
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
@@ -83,11 +89,11 @@ class UNet(nn.Module):
                 f"a U-Net needs at least one channel, got {input_channels} in, a width of {width} and blocks "
                 f"of {block} pixels"
             )
-        self.block = block
+        self.block, self.images = block, images
         widths = [width * 2**level for level in range(LEVELS)]
         self.encoder = nn.ModuleList(
             _two_convolutions(before, after)
-            for before, after in pairwise([input_channels * block**2, *widths])
+            for before, after in pairwise([(input_channels + (PLANES if images else 0)) * block**2, *widths])
         )
         deepest_first = widths[::-1]
         self.upsampling = nn.ModuleList(
@@ -104,7 +110,8 @@ class UNet(nn.Module):
         """(N, C', H, W) output channels from (N, C, H, W) input channels, that of the uncertainty last."""
         height, width = channels.shape[-2:]
         left, right, top, bottom = (*_padding(width, self.block), *_padding(height, self.block))
-        x = functional.pad(channels, (left, right, top, bottom), mode="replicate")
+        x = channels if self.images is None else torch.cat([channels, self.images(channels)], dim=1)
+        x = functional.pad(x, (left, right, top, bottom), mode="replicate")
         x = functional.pixel_unshuffle(x, self.block) if self.block > 1 else x
         first, *deeper = self.encoder
         with torch.autocast(x.device.type, enabled=False):

@@ -14,13 +14,13 @@ from threadpoolctl import threadpool_limits
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
-from model.refinement.bounce import Bounces
+from model.bounces.room import Room
+from model.bounces.solids import Solid
+from model.bounces.three_bounces import Bounces
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Fit, Guess, fitted
-from model.refinement.room import Room
 from model.refinement.search import Sketch, starts
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT
-from model.refinement.solids import Solid
 
 _USUAL_MISFIT = 0.006  # of the right solid; its square weighs as much against a fit as that of `_USUAL_M`
 _USUAL_M = 0.02  # difference of a network's depth map

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from model.bounces.solids import KIND_OF_SHAPE
 from model.data.shards import open_shards
 from model.prediction.predictor import load
 from model.refinement.refining import Family
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
-from model.refinement.solids import KIND_OF_SHAPE
 from model.report.refined_figure import MOST_SCENES, write_refined_figure
 from model.report.refined_result import RefinedScene, RefinementReport
 from model.report.refinement_work import SCENES_FOLDER, Job, Recipe, read_result, worked

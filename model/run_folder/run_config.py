@@ -15,6 +15,7 @@ import torch
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from model.network.bounce_images import BounceImages
 from model.network.channels import InputSpec
 from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
@@ -48,6 +49,7 @@ _LATER: Final = (
     "sensor_capture",
     "copies_per_change",
     "mask_gradient",
+    "bounce_images",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
@@ -157,13 +159,20 @@ class RunConfig:
         )
 
     def network(self, generator: torch.Generator | None = None) -> UNet:
-        """A network of this run's architecture with initial weights."""
+        """A network of this run's architecture with initial weights.
+
+        The images of the three bounces are black: the corner decides them (`model.bounces.inverse`), and they
+        are saved with the weights.
+        """
+        size = self.image_width, self.image_height
+        images = BounceImages(*self.inputs.residual_channels, *size) if self.settings.bounce_images else None
         return UNet(
             self.inputs.channel_count,
             self.settings.width,
             output_channels=self.readout.output_channels,
             block=self.settings.block,
             uncertainty=self.settings.uncertainty,
+            images=images,
             generator=generator,
         )
 

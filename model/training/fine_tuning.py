@@ -26,7 +26,7 @@ class Start:
     Attributes
     ----------
     config : contents of its ``run.json``.
-    weights : its best weights, on the CPU.
+    weights : its best weights, on the CPU, without the images of its corner.
     origin : what the new run records about it.
     """
 
@@ -70,7 +70,9 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
     with plain_memory_errors():
         network = config.network()
         content = load_weights(run, network, config)
-        weights = dict(network.state_dict())
+        weights = {
+            name: each for name, each in network.state_dict().items() if not name.startswith("images.")
+        }
         if settings.uncertainty and not config.settings.uncertainty:
             weights |= _new_head(config, settings)
     name = run.resolve().name[:255]

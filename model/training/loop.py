@@ -30,6 +30,7 @@ from model.run_folder.run_config import (
 )
 from model.settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
+from model.training.corner_images import corner_images
 from model.training.epoch import save_if_due, train_epoch, validate
 from model.training.fine_tuning import Start, read_start, refuse_lost_start
 from model.training.interruption import Interruption
@@ -145,7 +146,10 @@ def _train(
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
     with naming_memory(config), naming_compiler():
-        weights = start.weights if start else None
+        goes_on = before is not None and (out / CHECKPOINT_FILE).is_file()
+        weights = start.weights if start else {}
+        if not goes_on:
+            weights = weights | corner_images(config, dataset, shards, rows_of(shards, "train", settings))
         state = TrainingState(config, shards, processes, memory_bytes, weights)
         checkpoint = load_checkpoint(out, before, state.weights_bytes) if before else None
         if checkpoint:
@@ -189,7 +193,7 @@ def _configure(
             depth_m = object_depth_m(shards, rows)
     except (BalanceError, ChannelError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
-    problem = many_corners_problem(dataset, inputs)
+    problem = many_corners_problem(dataset, inputs, bounce_images=settings.bounce_images)
     if problem:
         raise TrainingError(problem)
     views_deg = manifest.fields_of_view_deg

@@ -58,7 +58,7 @@ class TrainingState:
 
     Parameters
     ----------
-    weights : weights to start from; None for random ones.
+    weights : weights to start from, all or some; the others are random.
     """
 
     def __init__(

@@ -42,7 +42,7 @@ class TrainingStep:
     Parameters
     ----------
     steps_per_epoch : number of steps in an epoch, for the learning rate schedule.
-    weights : weights to start from; None for random ones.
+    weights : weights to start from, all or some; the others are random.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class TrainingStep:
         self._order = torch.channels_last if settings.channels_last else torch.contiguous_format
         network = config.network(torch.Generator().manual_seed(settings.seed))
         if weights is not None:
-            network.load_state_dict(dict(weights))
+            network.load_state_dict(network.state_dict() | dict(weights))
         network.freeze(settings.freeze)
         network = network.to(device)
         self.network = network.to(memory_format=self._order)  # type: ignore[call-overload]

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from itof import pixel_rays
+from model.bounces.solids import Solid
 from model.network.wall_view import WallView, wall_view
-from model.refinement.solids import Solid
 from scenegen import Dataset
 from scenegen.pose import rotation_matrix
 from scenegen.scene import Wall

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from itof import phase_per_metre
-from model.refinement.room import Room
-from model.refinement.rough_wall import reflected
-from model.refinement.solids import Solid
+from model.bounces.room import Room
+from model.bounces.rough_wall import reflected
+from model.bounces.solids import Solid
 
 _FILM_NODES = {True: (12, 9), False: (6, 5)}  # of the light from the wall, across and down
 _LIFT = 1e-4  # of the way: a ray of a surface starts beside it
@@ -80,6 +80,30 @@ class Bounces:
         """
         parts = [self._of_part(solids, place, roughness) for place in range(len(solids))]
         return (torch.stack(parts).sum(0) / self._direct(roughness)[:, None]).numpy().astype(np.complex128)
+
+    def of_points(
+        self, position_m: NDArray[np.float64], cross_section_m2: float, roughness: float | None
+    ) -> NDArray[np.complex128]:
+        """(S, P, F) hidden light of each of S points that scatter evenly, relative to the direct light.
+
+        Parameters
+        ----------
+        position_m : (S, 3) their places, metres.
+        cross_section_m2 : power that each scatters over the irradiance.
+        roughness : of the relay wall; None for a Lambertian one.
+        """
+        position = torch.as_tensor(position_m, dtype=torch.float32)
+        arriving = self._way(self._lit, position, (), roughness)
+        leaving = self._way(self._seen, position, (), roughness)
+        strength = cross_section_m2 / (4 * math.pi) * leaving.strength / self._direct(roughness)
+        columns = []
+        for per_metre in self._per_metre:
+            there = torch.polar(
+                self._flux * arriving.strength, per_metre * (arriving.distance_m + self._lit.distance_m)
+            ).sum(1, keepdim=True)
+            back = torch.polar(strength, per_metre * (leaving.distance_m - self._seen.distance_m))
+            columns.append(there * back)
+        return torch.stack(columns, dim=-1).numpy().astype(np.complex128)
 
     def _direct(self, roughness: float | None) -> Tensor:
         """(P,) direct light, W m^-2 sr^-1, of a projector of 1 W/m² at 1 m."""

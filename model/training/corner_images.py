@@ -1,0 +1,54 @@
+"""The images of the three bounces, for the corner of the dataset that a training begins with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from model.bounces.inverse import bounce_inverse
+from model.bounces.room import room_of
+from model.data.batches import BatchMaker
+from model.data.object_depth import object_depth_m
+from model.data.shards import Shards
+from model.network.bounce_images import BounceImages
+from model.run_folder.run_config import RunConfig
+from scenegen import Dataset
+
+_SCENES: Final = 64  # whose images have the variance 1
+
+
+def corner_images(
+    config: RunConfig, dataset: Dataset, shards: Shards, rows: Sequence[int]
+) -> dict[str, Tensor]:
+    """What the weights of a new run contain of the corner of its dataset, by name; empty without images.
+
+    Parameters
+    ----------
+    rows : rows of the training scenes. The images of the first of them get the variance 1, as the residual
+        channels have.
+
+    Raises
+    ------
+    BalanceError : the scenes have no object pixel.
+    """
+    images = config.network().images
+    if images is None:
+        return {}
+    depth_m = config.object_depth_m or object_depth_m(shards, rows)
+    images.load_state_dict(bounce_inverse(images, room_of(dataset), config.geometry, config.inputs, depth_m))
+    deviation = _of_scenes(images, config, shards, rows[:_SCENES]).std()
+    if deviation > 0:
+        images.project /= deviation
+    return {f"images.{name}": array for name, array in images.state_dict().items()}
+
+
+def _of_scenes(images: BounceImages, config: RunConfig, shards: Shards, rows: Sequence[int]) -> Tensor:
+    """(n, PLANES, H, W) images of some scenes as rendered."""
+    frequencies_hz = shards.manifest.frequencies_hz
+    wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
+    maker = BatchMaker.for_shards(config.inputs, frequencies_hz, wall, torch.device("cpu"))
+    found: Tensor = images(maker.batch(maker.upload(shards.read(rows))).channels)
+    return found
