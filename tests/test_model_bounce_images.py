@@ -96,6 +96,13 @@ def test_images_are_linear_in_the_channels_and_flip_with_them(dataset, images):
     assert float((flipped.flip(-2) - once).norm() / once.norm()) < 0.03
 
 
+def test_the_inverse_is_the_same_to_the_bit_each_time(dataset, images):
+    corner = room_of(dataset), wall_view(dataset)
+    again = bounce_inverse(images, *corner, INPUTS, (MEAN_M, SPREAD_M))
+    for name, array in images.state_dict().items():
+        assert torch.equal(again[name], array), name
+
+
 def test_images_of_another_size_show_the_same(dataset, images):
     small, large = (images(channels_of(dataset, (20, 13), MEAN_M, *size)) for size in ((40, 30), (80, 60)))
     coarse = torch.nn.functional.avg_pool2d(large, 2)

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from itof import pixel_rays
 from itof.wall.expected_wall import ExpectedWall
+from model.bounces.one_thread import one_thread
 from model.bounces.room import Room
 from model.bounces.three_bounces import Bounces
 from model.network.bounce_images import PLANES, BounceImages
@@ -51,8 +52,9 @@ def bounce_inverse(
     -------
     ``project`` and ``expand`` of `BounceImages`.
     """
-    y = _responses(images, room, view, inputs, object_depth_m)  # (V, M)
-    across, singular, down = np.linalg.svd(y, full_matrices=False)
+    with one_thread():  # with several, no two results are the same to the bit
+        y = _responses(images, room, view, inputs, object_depth_m)  # (V, M)
+        across, singular, down = np.linalg.svd(y, full_matrices=False)
     rank = len(images.project)
     across, singular, down = across[:, :rank], singular[:rank], down[:rank]
     power = max(float((y**2).sum(axis=1).mean()), _DARK)

@@ -61,8 +61,8 @@ class BounceImages(nn.Module):
 
 
 def _parts(columns: int, width: int, height: int) -> tuple[int, int]:
-    """Rows and columns of nearly square parts of an image."""
-    return max(1, round(columns * height / width)), columns
+    """Rows and columns of nearly square parts of an image; in very tall images, the parts are tall."""
+    return max(1, min(round(columns * height / width), 4 * columns)), columns
 
 
 def _means(count: int, pixels: int, like: Tensor) -> Tensor:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
+from model.bounces.one_thread import one_thread
 from model.bounces.room import Room
 from model.bounces.solids import Solid
 from model.bounces.three_bounces import Bounces
@@ -164,18 +162,6 @@ def refined(
     return Refined(
         best.guess.solids[0], explaining, best.guess.roughness, best.unexplained, comparison.noise, depth_map
     )
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch and numpy use one thread: faster for small arrays, and sums depend on their number."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with threadpool_limits(1, user_api="blas"):
-            yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _comparison(

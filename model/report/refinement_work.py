@@ -16,12 +16,13 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from scipy.spatial.transform import Rotation
 
 from itof import DepthMap
+from model.bounces.one_thread import one_thread
 from model.bounces.room import Room, room_of
 from model.data.shards import Shards, open_shards
 from model.network.metrics import ImageMetrics, image_metrics
 from model.network.wall_view import WallView, wall_view
 from model.prediction.predictor import Predictor, load
-from model.refinement.refining import Family, Refined, one_thread, refined
+from model.refinement.refining import Family, Refined, refined
 from model.refinement.settings import Unknown
 from model.report.judging import Bench
 from model.report.refined_result import FoundSolid, RefinedScene, SceneNumbers
