@@ -59,10 +59,13 @@ def test_shares_of_a_batch_are_all_of_it_once_and_the_lent_row_counts_nothing(co
 
 # Nine scenes: batches of 4, 4, 1 and of 5, 4. In a batch of one scene, one of the processes has none.
 @pytest.mark.long
-@pytest.mark.parametrize(("scenes_a_batch", "copies"), [(4, 0), (5, 0), (4, 3)])
-def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batch, copies):
-    changes = {"batch_size": scenes_a_batch, "max_epochs": 2, "noise_sigma": 1e-3, "clip_norm": 1.0}
-    changes["copies_per_change"] = copies
+@pytest.mark.parametrize(
+    "special",
+    [{"batch_size": 4}, {"batch_size": 5}, {"copies_per_change": 3}, {"bounce_images": True}],
+    ids=lambda special: next(f"{name}={value}" for name, value in special.items()),
+)
+def test_two_processes_train_the_network_of_one(dataset, tmp_path, special):
+    changes = {"batch_size": 4, "max_epochs": 2, "noise_sigma": 1e-3, "clip_norm": 1.0} | special
     changes["checkpoint_minutes"] = 0.0  # a checkpoint after every batch must not count anything twice
     two = tmp_path / "two"
     assert start(dataset, two, launcher=TORCHRUN, **changes).wait() == 0, errors_of(two).read_text()
@@ -72,8 +75,9 @@ def test_two_processes_train_the_network_of_one(dataset, tmp_path, scenes_a_batc
     first, one, two = (checkpoint(tmp_path / name) for name in ("begin", "one", "two"))
     for name, weight in one["network"].items():
         way = float((weight - first["network"][name]).norm())
-        # Sums in another order: rounding, which Adam's division by small gradients makes larger.
-        assert float((two["network"][name] - weight).norm()) < 1e-2 * way, name
+        # Sums in another order: rounding, which Adam's division by small gradients makes larger. The images
+        # of the corner are not trained: both numbers are 0.
+        assert float((two["network"][name] - weight).norm()) <= 1e-2 * way, name
     for a, b in zip(one["history"], two["history"], strict=True):
         assert b == pytest.approx(a, rel=1e-3)
 

@@ -86,10 +86,14 @@ class Bounces:
     ) -> NDArray[np.complex128]:
         """(S, P, F) hidden light of each of S points that scatter evenly, relative to the direct light.
 
+        The sums of the module for one point s each, without cosines there:
+
+            hidden_f(x) = σ / 4π E_f(s) f(s - x, r_x) cos_x / |s - x|² exp(j k_f (|s - x| + t_x))
+
         Parameters
         ----------
         position_m : (S, 3) their places, metres.
-        cross_section_m2 : power that each scatters over the irradiance.
+        cross_section_m2 : σ, the power that a point scatters over the irradiance that it gets.
         roughness : of the relay wall; None for a Lambertian one.
         """
         position = torch.as_tensor(position_m, dtype=torch.float32)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+# Runs that were trained with other numbers cannot be read: these decide the shapes of what is saved.
 PLANES: Final = 6  # depths
 COLUMNS: Final = 16  # of an image of one depth, before it is enlarged
 SEEN_COLUMNS: Final = 20  # of the input channels: the hidden light is smooth over the wall

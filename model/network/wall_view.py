@@ -94,20 +94,12 @@ def wall_view(dataset: Dataset) -> WallView:
     return WallView.of(scene.camera if preset.is_one_corner else preset.camera, scene.relay_wall)
 
 
-def many_corners_problem(dataset: Dataset, inputs: InputSpec, *, bounce_images: bool = False) -> str | None:
+def many_corners_problem(dataset: Dataset, inputs: InputSpec) -> str | None:
     """Why a network with these inputs has no wall to compare the scenes of a dataset with; None if it has.
 
-    Where each scene has its camera elsewhere, only a fit finds the wall of a scene, and the images of the
-    three bounces would be those of one corner only.
+    Where each scene has its camera elsewhere, only a fit finds the wall of a scene.
     """
-    if dataset.preset.is_one_corner:
-        return None
-    if bounce_images:
-        return (
-            f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and bounce_images are "
-            "those of one corner: set it to false (--no-bounce-images)"
-        )
-    if not inputs.uses_residual or inputs.self_calibrates:
+    if dataset.preset.is_one_corner or not inputs.uses_residual or inputs.self_calibrates:
         return None
     return (
         f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and the reference "

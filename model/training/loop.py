@@ -42,6 +42,7 @@ from model.training.refusals import (
     naming_compiler,
     naming_disk,
     naming_memory,
+    refuse_images_of_many_corners,
     refuse_missing_scenes,
     refuse_other_view,
     refuse_start,
@@ -116,6 +117,7 @@ def train(
         if resume and start_from is not None:
             raise RunError(f"{out} goes on from its own weights: leave out resume or start_from")
         refuse_untrained_layers(settings, is_trained=resume or start_from is not None)
+        refuse_images_of_many_corners(dataset, settings)
         start = read_start(Path(start_from), settings) if start_from is not None else None
         with only_training(out, processes, check):
             return _train(dataset, out, settings, processes, resume, start, memory_bytes)
@@ -193,7 +195,7 @@ def _configure(
             depth_m = object_depth_m(shards, rows)
     except (BalanceError, ChannelError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
-    problem = many_corners_problem(dataset, inputs, bounce_images=settings.bounce_images)
+    problem = many_corners_problem(dataset, inputs)
     if problem:
         raise TrainingError(problem)
     views_deg = manifest.fields_of_view_deg

@@ -54,6 +54,15 @@ def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> Non
         )
 
 
+def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> None:
+    """`TrainingError` for images of the three bounces where they would be right for one scene only."""
+    if settings.bounce_images and not dataset.preset.is_one_corner:
+        raise TrainingError(
+            f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and bounce_images are "
+            "for one corner: set it to false (--no-bounce-images)"
+        )
+
+
 def refuse_other_view(shards: Shards, dataset: Dataset, sensor: SensorSettings | None) -> None:
     """`TrainingError` if the camera of the settings cannot measure the images of the dataset."""
     if sensor is not None:
