@@ -91,6 +91,19 @@ class _DenseMap(nn.Module):
         return x + self.wide(functional.relu(mapped))
 
 
+class FewerPixelsUNet(UNet):
+    """Every 2 x 2 pixels of the input have their mean, so the output has four times the pixels of the input.
+
+    The light on the wall is smooth, the object's edge is not.
+    """
+
+    def forward(self, channels: Tensor) -> Tensor:
+        """As that of `UNet`."""
+        height, width = channels.shape[-2:]
+        means = functional.avg_pool2d(channels, 2, ceil_mode=True, count_include_pad=False)
+        return super().forward(functional.interpolate(means, scale_factor=2)[..., :height, :width])
+
+
 class EdgeLoss(MaskAndDepthLoss):
     """The cross entropy of the pixels at the edge of the true object counts once more, as their mean."""
 
@@ -150,6 +163,7 @@ OTHERS = {
     "images": Other("preset `default`", bounce_images=True),
     "residual": Other("residual blocks", lambda _: ResidualUNet),
     "dense-map": Other("a dense learned map at 12 x 8 positions", dense_map),
+    "fewer-pixels": Other("means of 2 x 2 pixels in, every pixel out", lambda _: FewerPixelsUNet),
     "edge": Other("pixels at the edge of the object count more", loss=EdgeLoss),
     "slope": Other("slopes of the depth count, too", loss=SlopeLoss),
     "laplace": Other("Laplace likelihood of the depth", loss=LaplaceLoss),
