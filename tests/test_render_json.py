@@ -9,7 +9,10 @@ from night_commands import night_here, refusal
 from render_runs import SETTINGS
 from source_tree import ROOT
 
-RUN = {"renders", "rendered", "present", "failed", "skipped_failures", "failures", "settings", "plan"}
+RUN = {
+    *("renders", "rendered", "present", "failed", "skipped_failures", "failures", "settings", "plan"),
+    "hidden_error_max",
+}
 SETTING = {"product", "device", "method", "options", "max_bounces", "size", "bins", "frequencies_hz"}
 PLAN = {"scenes", "image_bytes_per_scene", "transient_bytes_per_scene", "needed_bytes", "free_bytes"}
 STATUS = {
@@ -40,6 +43,20 @@ def test_a_run_and_its_plan_as_json(three_missing, render_here):
     assert found["settings"]["size"] == [24, 18]
     assert found["renders"] == str(three_missing / "renders")
     assert "1 scenes rendered, 1 were there already" in done.stderr
+    note = json.loads((three_missing / "renders" / "rendering.json").read_text())
+    assert found["hidden_error_max"] == note["hidden_error_max"] <= note["options"]["error"] == 0.05
+    assert "asked for" not in done.stderr
+
+
+def test_a_run_says_that_a_scene_misses_the_wanted_error(rendered_copy):
+    record = rendered_copy / "renders" / "000002" / "render.json"
+    data = json.loads(record.read_text())
+    data["attributes"]["hidden_error"] = "0.0731"
+    record.write_text(json.dumps(data))
+    done = night_here("night-render", rendered_copy, *SETTINGS)
+    assert done.returncode == 0, done.stderr
+    assert "of up to 0.0731, 0.05 was asked for" in done.stdout
+    assert f"{rendered_copy / 'renders' / 'night-render.log'} names them" in done.stdout
 
 
 def test_a_run_without_work_has_no_plan(seven_renders):

@@ -6,7 +6,7 @@ import json
 import logging
 import secrets
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from render.backend import select_variant
 from render.edited_scenes import refuse_edited, refuse_measured, without_effect
@@ -102,7 +102,7 @@ def render_dataset(
             result.present,
             len(result.failures),
         )
-    return result
+    return _with_errors(result, dataset)
 
 
 def plan_run(
@@ -129,7 +129,16 @@ def plan_run(
         plan = _checked_plan(dataset, settings, found, options, say)
     else:
         say(f"nothing to render: {len(found.done)} scenes are rendered, {found.skipped} failed earlier")
-    return RunResult(0, len(found.done), skipped_failures=found.skipped, plan=plan)
+    return _with_errors(RunResult(0, len(found.done), skipped_failures=found.skipped, plan=plan), dataset)
+
+
+def _with_errors(result: RunResult, dataset: Dataset) -> RunResult:
+    """The result with the errors that ``rendering.json`` has."""
+    note = dataset.rendering
+    if note is None:
+        return result
+    wanted = None if note.options.get("lights") else note.options.get("error")
+    return replace(result, hidden_error_max=note.hidden_error_max, wanted_error=wanted)
 
 
 @dataclass(frozen=True)

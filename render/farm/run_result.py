@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from render.farm.plan import Plan
+from render.farm.run_log import LOG_FILE
 from render.settings import RenderSettings
 from scenegen import Dataset
 
@@ -22,6 +23,9 @@ class RunResult:
     failures : reason of failure by scene.
     skipped_failures : number of scenes that failed in an earlier run and were not tried again.
     plan : of the scenes that were to be rendered; None if there were none.
+    hidden_error_max : largest estimated error of the hidden signal, relative to it, over the rendered scenes
+        of the dataset; None without an estimate.
+    wanted_error : the error that was asked for; None if none was, as with ``--lights``.
     """
 
     rendered: int
@@ -29,10 +33,20 @@ class RunResult:
     failures: dict[str, str] = field(default_factory=dict)
     skipped_failures: int = 0
     plan: Plan | None = None
+    hidden_error_max: float | None = None
+    wanted_error: float | None = None
 
     def sentences(self, renders: Path) -> list[str]:
         """The result as lines of text; `renders` is the folder of the renders."""
-        return [f"{self.rendered} scenes rendered, {self.present} were there already; {renders}"]
+        lines = [f"{self.rendered} scenes rendered, {self.present} were there already; {renders}"]
+        largest, wanted = self.hidden_error_max, self.wanted_error
+        if largest is not None and wanted is not None and largest > wanted:
+            lines.append(
+                f"the hidden signal has an estimated error of up to {largest:g}, {wanted:g} was asked for: "
+                "some scenes need more surface points than night-render takes, and "
+                f"{renders / LOG_FILE} names them"
+            )
+        return lines
 
     def as_data(self, dataset: Dataset, settings: RenderSettings) -> dict[str, Any]:
         """The result as plain data (docs/files.md, results as JSON)."""
@@ -45,6 +59,7 @@ class RunResult:
             "failures": self.failures,
             "settings": settings.as_data(dataset),
             "plan": self.plan.as_data() if self.plan is not None else None,
+            "hidden_error_max": self.hidden_error_max,
         }
 
     def complaints(self, renders: Path) -> list[str]:
