@@ -55,7 +55,7 @@ def test_a_run_says_that_a_scene_misses_the_wanted_error(rendered_copy):
     record.write_text(json.dumps(data))
     done = night_here("night-render", rendered_copy, *SETTINGS)
     assert done.returncode == 0, done.stderr
-    assert "of up to 0.0731, 0.05 was asked for" in done.stdout
+    assert "of up to 0.0731, but 0.05 was asked for" in done.stdout
     assert f"{rendered_copy / 'renders' / 'night-render.log'} names them" in done.stdout
 
 

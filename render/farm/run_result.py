@@ -42,8 +42,8 @@ class RunResult:
         largest, wanted = self.hidden_error_max, self.wanted_error
         if largest is not None and wanted is not None and largest > wanted:
             lines.append(
-                f"the hidden signal has an estimated error of up to {largest:g}, {wanted:g} was asked for: "
-                "some scenes need more surface points than night-render takes, and "
+                f"the hidden signal has an estimated error of up to {largest:g}, but {wanted:g} was asked "
+                "for: some scenes need more surface points than night-render takes, and "
                 f"{renders / LOG_FILE} names them"
             )
         return lines
