@@ -1,10 +1,10 @@
 r"""Learning curve: the error of a network by the number of scenes that it was trained on.
 
-Every network sees about the same number of samples, so that fewer scenes are seen more often. Its weights are
-those of the epoch that is best on the validation scenes, so that a network which has learnt its scenes by
-heart is stopped. All networks are judged on the same scenes, which none has seen. A power law
-MAE = a · scenes^-b is fitted to the table; what it says beyond the largest number of scenes is an
-extrapolation. Interrupted runs continue.
+Every network sees about the same number of samples, so that fewer scenes are seen more often; or each sees as
+many as are given for it. Its weights are those of the epoch that is best on the validation scenes, so that a
+network which has learnt its scenes by heart is stopped. All networks are judged on the same scenes, which
+none has seen. A power law MAE = a · scenes^-b is fitted to the table; what it says beyond the largest number
+of scenes is an extrapolation. Interrupted runs continue.
 
 Run:
 
@@ -36,19 +36,24 @@ def main() -> None:
     parser.add_argument("--judge", type=Path, required=True, help="dataset whose test scenes judge")
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--counts", type=int, nargs="+", required=True, help="numbers of training scenes")
-    parser.add_argument("--samples", type=int, required=True, help="samples that each network sees")
+    parser.add_argument(
+        "--samples", type=int, nargs="+", required=True, help="samples of a network: one number, or one each"
+    )
     parser.add_argument("--preset", default="default", help="training preset, default: default")
     parser.add_argument("--width", type=int, help="channels of the first level, default from --preset")
     parser.add_argument("--block", type=int, help="pixels per side of a position, default from --preset")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    if len(given.samples) not in (1, len(given.counts)):
+        parser.error("--samples needs one number, or one for each of --counts")
+    samples = given.samples * (len(given.counts) // len(given.samples))
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     dataset, unseen = open_dataset(given.dataset), open_shards(open_dataset(given.judge))
     base = training_preset(given.preset)[0]
     base |= {key: getattr(given, key) for key in ("width", "block") if getattr(given, key)}
     lines, errors_cm = [], []
-    for count in given.counts:
-        epochs = max(1, round(given.samples / count))
+    for count, seen in zip(given.counts, samples, strict=True):
+        epochs = max(1, round(seen / count))
         changes = {"train_scenes": count, "max_epochs": epochs, "patience": epochs, "seed": given.seed}
         out = given.out / f"scenes-{count}"
         train(
