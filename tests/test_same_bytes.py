@@ -16,8 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (so that its library of linear algebra is loaded, as in a render)
 from night_commands import PRESET, night
 from render_runs import SETTINGS
+from threadpoolctl import threadpool_info
 
 from itof import read_image
 from render.backend import select_variant
@@ -54,13 +56,21 @@ def hashes(root, kind):
 
 
 def machine():
-    """What decides how renders are rounded: kernels are compiled for the processor at hand."""
+    """What decides how renders are rounded: kernels are compiled for the processor at hand.
+
+    The libraries of linear algebra choose theirs by the model of the processor, not by its features.
+    """
     import drjit
 
     assert drjit.has_backend(drjit.JitBackend.LLVM)  # which loads the library
     features = np.core._multiarray_umath.__cpu_features__
     return {
         "processor": sorted(name for name, present in features.items() if present),
+        "linear_algebra": sorted(
+            f"{library['internal_api']} {library['version']} {library['architecture']}"
+            for library in threadpool_info()
+            if library["user_api"] == "blas"
+        ),
         "llvm": ".".join(str(part) for part in drjit.detail.llvm_version()),
         "packages": {name: version(name) for name in PACKAGES},
     }
