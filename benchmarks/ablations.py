@@ -147,6 +147,14 @@ def line(row: Row, summaries: list[Summary]) -> str:
     return f"| {row.words} | {over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {row.paper} |"
 
 
+def cells_over_seeds(found: Sequence[Summary]) -> str:
+    """Like `cells`, of the runs of several seeds: means and standard deviations."""
+    maes, mious = [100 * each.depth_mae_m.mean for each in found], [each.miou.mean for each in found]
+    on_object = [100 * each.object_mae_m.mean for each in found if each.object_mae_m]
+    object_words = over_seeds(on_object, 1) if on_object else "-"
+    return f"{over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {object_words}"
+
+
 def over_seeds(values: Sequence[float], digits: int) -> str:
     """Mean of the values of several seeds and, if there are several, their standard deviation."""
     spread = f" ± {stdev(values):.{digits}f}" if len(values) > 1 else ""

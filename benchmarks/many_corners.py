@@ -4,15 +4,22 @@ The fit of a network starts at the wall of the dataset, or, where each scene has
 of the camera in the middle. Run:
 
     .venv/bin/python benchmarks/many_corners.py one many many-wall --judge judge judge-any outside
+
+With --over-seeds, runs whose names differ only in the number after the last hyphen are one row:
+
+    .venv/bin/python benchmarks/many_corners.py images-0 images-1 none-0 none-1 --judge judge --over-seeds
 """
 
 import argparse
+import re
+from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 
-from ablations import cells, judged
+from ablations import cells, cells_over_seeds, judged
 
 from model.data.shards import Shards, open_shards
-from model.network.metrics import no_object_metrics, summarise
+from model.network.metrics import Summary, no_object_metrics, summarise
 from model.network.wall_view import wall_view
 from model.prediction.predictor import load
 from scenegen import open_dataset
@@ -25,6 +32,7 @@ def main() -> None:
     parser.add_argument(
         "--judge", type=Path, nargs="+", required=True, help="datasets whose test scenes judge"
     )
+    parser.add_argument("--over-seeds", action="store_true", help="one row for the runs of several seeds")
     given = parser.parse_args()
     predictors = [load(run) for run in given.runs]
     print("| network | judged on | MAE cm | mIoU | object MAE cm |\n|---|---|---|---|---|")
@@ -32,10 +40,18 @@ def main() -> None:
         dataset = open_dataset(folder)
         shards, corner = open_shards(dataset), wall_view(dataset)
         rows = shards.rows("test")
-        for run, predictor in zip(given.runs, predictors, strict=True):
-            found = judged(predictor.at(corner), shards, rows)
-            print(f"| {run.name} | {folder.name} | {cells(found)} |", flush=True)
+        pairs = zip(given.runs, predictors, strict=True)
+        found = ((str(run), judged(predictor.at(corner), shards, rows)) for run, predictor in pairs)
+        for name, words in over_seeds_of(found) if given.over_seeds else ((n, cells(s)) for n, s in found):
+            print(f"| {name} | {folder.name} | {words} |", flush=True)
         print(f"| no object | {folder.name} | {nothing(shards)} |", flush=True)
+
+
+def over_seeds_of(found: Iterable[tuple[str, Summary]]) -> Iterable[tuple[str, str]]:
+    """Name and cells of each group of neighbouring runs that differ only in their seed."""
+    for name, group in groupby(found, lambda pair: re.sub(r"-\d+$", "", pair[0])):
+        summaries = [summary for _, summary in group]
+        yield f"{name}, mean of {len(summaries)}", cells_over_seeds(summaries)
 
 
 def nothing(shards: Shards) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import torch
-from ablations import judged, over_seeds
+from ablations import cells_over_seeds, judged
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -203,12 +203,7 @@ def result(other: Other, dataset: Dataset, settings: TrainSettings, out: Path) -
 
 def line(other: Other, found: list[Summary]) -> str:
     """A row of the table."""
-    maes, mious = [100 * each.depth_mae_m.mean for each in found], [each.miou.mean for each in found]
-    on_object = [100 * each.object_mae_m.mean for each in found if each.object_mae_m]
-    values = (
-        f"{over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {over_seeds(on_object, 1) if on_object else '-'}"
-    )
-    return f"| {other.words} | {len(found)} | {values} |"
+    return f"| {other.words} | {len(found)} | {cells_over_seeds(found)} |"
 
 
 if __name__ == "__main__":

@@ -2,9 +2,11 @@
 
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from statistics import mean, stdev
 
 import numpy as np
 import pytest
@@ -117,10 +119,8 @@ def test_the_gallery_shows_the_first_scenes_and_the_worst(finished_run, closed_f
 
 @pytest.mark.long
 def test_networks_are_judged_on_every_corner(self_run, closed_form_scenes):
-    command = [sys.executable, BENCHMARKS / "many_corners.py", self_run, "--judge", closed_form_scenes.root]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    ours, nothing = done.stdout.splitlines()[2:]
-    assert ours.startswith(f"| {self_run.name} | {closed_form_scenes.root.name} | ")
+    ours, nothing = many_corners(self_run, "--judge", closed_form_scenes.root)
+    assert ours.startswith(f"| {self_run} | {closed_form_scenes.root.name} | ")
     shards = open_shards(closed_form_scenes)
     block = shards.read(shards.rows("test"))
     found = load(self_run, "cpu").predict(block.complex_phasors())
@@ -128,3 +128,25 @@ def test_networks_are_judged_on_every_corner(self_run, closed_form_scenes):
     summary = summarise([image_metrics(*image) for image in images])
     assert float(ours.split("|")[3]) == pytest.approx(100 * summary.depth_mae_m.mean, abs=0.01)
     assert nothing.startswith("| no object | ")
+
+
+@pytest.mark.long
+def test_runs_of_several_seeds_are_one_row_each(self_run, finished_run, closed_form_scenes, tmp_path):
+    runs = [tmp_path / name for name in ("ours-0", "ours-1", "other-0")]
+    for run, source in zip(runs, (self_run, finished_run, self_run), strict=True):
+        shutil.copytree(source, run)
+    each = many_corners(*runs, "--judge", closed_form_scenes.root)[:-1]
+    ours, other, _ = many_corners(*runs, "--judge", closed_form_scenes.root, "--over-seeds")
+    maes_cm = [float(row.split("|")[3]) for row in each]
+    found_cm, spread_cm = (float(word) for word in ours.split("|")[3].split("±"))
+    assert found_cm == pytest.approx(mean(maes_cm[:2]), abs=0.011)
+    assert spread_cm == pytest.approx(stdev(maes_cm[:2]), abs=0.011)
+    assert spread_cm > 0
+    assert float(other.split("|")[3]) == maes_cm[2]
+
+
+def many_corners(*words: object) -> list[str]:
+    """The rows that it prints."""
+    command = [sys.executable, BENCHMARKS / "many_corners.py", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()[2:]
