@@ -1,9 +1,12 @@
 """The same seed gives the same bytes as ever: scenes on any machine, renders on machines that round alike.
 
-``tests/golden`` holds SHA-256 of every file of two small datasets, and for machines that round in another way
-the phasors of three scenes. A change that is meant to change these files makes them again:
+``tests/golden`` holds SHA-256 of every file of two small datasets. Those of renders are there for each
+machine that recorded them; for machines that round in yet another way, there are the phasors of three
+scenes. A change that is meant to change these files makes them again; --add records the renders of one more
+machine:
 
     python tests/test_same_bytes.py
+    python tests/test_same_bytes.py --add
 """
 
 import json
@@ -88,14 +91,16 @@ def pixels(datasets):
 
 @pytest.mark.parametrize("name", ["many", "path"])
 def test_scenes_are_the_same_bytes_as_ever(datasets, golden, name):
-    assert hashes(datasets[name], "scenes") == golden[name]["scenes"]
+    assert hashes(datasets[name], "scenes") == golden["scenes"][name]
 
 
 @pytest.mark.parametrize("name", ["many", "path"])
 def test_renders_are_the_same_bytes_as_ever_on_machines_that_round_alike(datasets, golden, name):
-    if machine() != golden["machine"]:
-        pytest.skip(f"renders were recorded on another machine: {golden['machine']}, this is {machine()}")
-    assert hashes(datasets[name], "renders") == golden[name]["renders"]
+    here = machine()
+    recorded = [record for record in golden["renders"] if record["machine"] == here]
+    if not recorded:
+        pytest.skip(f"no renders were recorded on a machine like this one, {here}: add them with --add")
+    assert hashes(datasets[name], "renders") == recorded[0][name]
 
 
 def test_renders_are_the_same_pixels_as_ever_on_all_machines(datasets):
@@ -139,12 +144,29 @@ def test_files_do_not_depend_on_the_number_of_threads(seven_scenes, tmp_path, op
 
 def write_golden(datasets):
     """Record datasets as those that all later ones must equal."""
-    recorded = {
-        name: {kind: hashes(root, kind) for kind in ("scenes", "renders")} for name, root in datasets.items()
-    }
     GOLDEN.mkdir(exist_ok=True)
-    HASHES.write_text(json.dumps({"machine": machine(), **recorded}, indent=1) + "\n")
+    write_hashes({name: hashes(root, "scenes") for name, root in datasets.items()}, [renders(datasets)])
     np.savez_compressed(REFERENCE, **pixels(datasets))
+
+
+def add_to_golden(datasets):
+    """Record the renders of this machine, too; scenes and pixels must be those that are recorded."""
+    golden = json.loads(HASHES.read_text())
+    for name in datasets:
+        test_scenes_are_the_same_bytes_as_ever(datasets, golden, name)
+    test_renders_are_the_same_pixels_as_ever_on_all_machines(datasets)
+    here = renders(datasets)
+    others = [record for record in golden["renders"] if record["machine"] != here["machine"]]
+    write_hashes(golden["scenes"], [*others, here])
+
+
+def renders(datasets):
+    """The machine, and SHA-256 of the renders of each dataset."""
+    return {"machine": machine(), **{name: hashes(root, "renders") for name, root in datasets.items()}}
+
+
+def write_hashes(scenes, machines):
+    HASHES.write_text(json.dumps({"scenes": scenes, "renders": machines}, indent=1) + "\n")
 
 
 def make(folder):
@@ -165,7 +187,8 @@ def make(folder):
 
 if __name__ == "__main__":
     work = Path(tempfile.mkdtemp())
+    record = add_to_golden if sys.argv[1:] == ["--add"] else write_golden
     try:
-        write_golden(make(work))
+        record(make(work))
     finally:
         shutil.rmtree(work)
