@@ -121,10 +121,12 @@ def judged(
     return summarise(metrics)
 
 
-def cells(summary: Summary) -> str:
-    """MAE in cm, mIoU and MAE on the object in cm, as cells of a table."""
-    on_object = f"{100 * summary.object_mae_m.mean:.2f}" if summary.object_mae_m else "-"
-    return f"{100 * summary.depth_mae_m.mean:.2f} | {summary.miou.mean:.3f} | {on_object}"
+def cells(*found: Summary) -> str:
+    """MAE in cm, mIoU and MAE on the object in cm, as cells of a table; of several seeds `over_seeds`."""
+    maes, mious = [100 * each.depth_mae_m.mean for each in found], [each.miou.mean for each in found]
+    on_object = [100 * each.object_mae_m.mean for each in found if each.object_mae_m]
+    object_words = over_seeds(on_object, 2) if on_object else "-"
+    return f"{over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {object_words}"
 
 
 def print_table(shards: Shards, results: dict[Row, list[Summary]]) -> None:
@@ -145,14 +147,6 @@ def line(row: Row, summaries: list[Summary]) -> str:
     """A row of the table: the mean over seeds and, if there are several, their standard deviation."""
     maes, mious = [100 * s.depth_mae_m.mean for s in summaries], [s.miou.mean for s in summaries]
     return f"| {row.words} | {over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {row.paper} |"
-
-
-def cells_over_seeds(found: Sequence[Summary]) -> str:
-    """Like `cells`, of the runs of several seeds: means and standard deviations."""
-    maes, mious = [100 * each.depth_mae_m.mean for each in found], [each.miou.mean for each in found]
-    on_object = [100 * each.object_mae_m.mean for each in found if each.object_mae_m]
-    object_words = over_seeds(on_object, 1) if on_object else "-"
-    return f"{over_seeds(maes, 2)} | {over_seeds(mious, 3)} | {object_words}"
 
 
 def over_seeds(values: Sequence[float], digits: int) -> str:

@@ -12,14 +12,13 @@ With --over-seeds, runs whose names differ only in the number after the last hyp
 
 import argparse
 import re
-from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 
-from ablations import cells, cells_over_seeds, judged
+from ablations import cells, judged
 
 from model.data.shards import Shards, open_shards
-from model.network.metrics import Summary, no_object_metrics, summarise
+from model.network.metrics import no_object_metrics, summarise
 from model.network.wall_view import wall_view
 from model.prediction.predictor import load
 from scenegen import open_dataset
@@ -34,24 +33,22 @@ def main() -> None:
     )
     parser.add_argument("--over-seeds", action="store_true", help="one row for the runs of several seeds")
     given = parser.parse_args()
-    predictors = [load(run) for run in given.runs]
+    predictors = {run: load(run) for run in given.runs}
     print("| network | judged on | MAE cm | mIoU | object MAE cm |\n|---|---|---|---|---|")
     for folder in given.judge:
         dataset = open_dataset(folder)
         shards, corner = open_shards(dataset), wall_view(dataset)
         rows = shards.rows("test")
-        pairs = zip(given.runs, predictors, strict=True)
-        found = ((str(run), judged(predictor.at(corner), shards, rows)) for run, predictor in pairs)
-        for name, words in over_seeds_of(found) if given.over_seeds else ((n, cells(s)) for n, s in found):
-            print(f"| {name} | {folder.name} | {words} |", flush=True)
+        for name, runs in groupby(given.runs, without_seed if given.over_seeds else str):
+            found = [judged(predictors[run].at(corner), shards, rows) for run in runs]
+            count = f", mean of {len(found)}" if given.over_seeds else ""
+            print(f"| {name}{count} | {folder.name} | {cells(*found)} |", flush=True)
         print(f"| no object | {folder.name} | {nothing(shards)} |", flush=True)
 
 
-def over_seeds_of(found: Iterable[tuple[str, Summary]]) -> Iterable[tuple[str, str]]:
-    """Name and cells of each group of neighbouring runs that differ only in their seed."""
-    for name, group in groupby(found, lambda pair: re.sub(r"-\d+$", "", pair[0])):
-        summaries = [summary for _, summary in group]
-        yield f"{name}, mean of {len(summaries)}", cells_over_seeds(summaries)
+def without_seed(run: Path) -> str:
+    """Its path without the seed, the number after the last hyphen."""
+    return re.sub(r"-\d+$", "", str(run))
 
 
 def nothing(shards: Shards) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import torch
-from ablations import cells_over_seeds, judged
+from ablations import cells, judged
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -203,7 +203,7 @@ def result(other: Other, dataset: Dataset, settings: TrainSettings, out: Path) -
 
 def line(other: Other, found: list[Summary]) -> str:
     """A row of the table."""
-    return f"| {other.words} | {len(found)} | {cells_over_seeds(found)} |"
+    return f"| {other.words} | {len(found)} | {cells(*found)} |"
 
 
 if __name__ == "__main__":

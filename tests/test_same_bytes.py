@@ -9,6 +9,7 @@ machine:
     python tests/test_same_bytes.py --add
 """
 
+import argparse
 import json
 import shutil
 import sys
@@ -186,8 +187,10 @@ def make(folder):
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--add", action="store_true", help="keep what other machines recorded")
+    record = add_to_golden if parser.parse_args().add else write_golden
     work = Path(tempfile.mkdtemp())
-    record = add_to_golden if sys.argv[1:] == ["--add"] else write_golden
     try:
         record(make(work))
     finally:
