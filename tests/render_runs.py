@@ -57,13 +57,26 @@ def begun(claim, attempt=1):
         return False
 
 
-def worker_at(process, claim):
-    """The worker process that has a scene claimed."""
-    for worker in workers_of(process):
+def worker_at(workers, claim):
+    """The one of these processes that has a scene claimed; None if none has."""
+    for worker in workers:
         with suppress(psutil.NoSuchProcess):
             if any(file.path == str(claim) for file in worker.open_files()):
                 return worker
-    return pytest.fail(f"no worker has {claim}")
+    return None
+
+
+def killed_in(process, claim, attempt=1):
+    """Whether a worker was at an attempt at a scene; if so, it is killed. To be called until it is true.
+
+    The workers are listed first, which takes longest: a scene takes only tenths of a second.
+    """
+    workers = workers_of(process)
+    worker = worker_at(workers, claim) if begun(claim, attempt) else None
+    if worker is None:
+        return False
+    worker.kill()
+    return True
 
 
 def wait_for(condition, seconds=90):

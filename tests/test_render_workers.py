@@ -3,6 +3,7 @@
 Real commands and real worker processes; the results are compared with those of one undisturbed run.
 """
 
+import os
 import re
 import shutil
 import signal
@@ -12,16 +13,18 @@ import pytest
 from night_commands import night, night_here
 from render_runs import (
     SETTINGS,
-    begun,
     claim_of,
+    killed_in,
     results,
     run_log,
     start_render,
     wait_for,
-    worker_at,
     workers_of,
 )
 
+from render.farm.clusters import connected
+from render.farm.jobs import render_scene
+from render.farm.queue import RenderQueue
 from render.farm.run import RunOptions, render_dataset
 from render.options import ManyLightOptions
 from render.settings import RenderSettings
@@ -82,8 +85,7 @@ def after_deaths(seven_renders, tmp_path_factory):
 
     def all_are_killed():
         for claim, attempt in to_be_killed:
-            if begun(claim, attempt):
-                worker_at(process, claim).send_signal(signal.SIGKILL)
+            if killed_in(process, claim, attempt):
                 to_be_killed.remove((claim, attempt))
                 break
         return not to_be_killed
@@ -140,11 +142,34 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
 
 
 @pytest.mark.long
+def test_a_worker_killed_after_a_scene_and_before_its_answer_has_rendered_it(three_missing, seven_renders):
+    def killed_before_the_answer(job):
+        render_scene(job)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    dataset = open_dataset(three_missing)
+    settings = RenderSettings(product="both", options=ManyLightOptions(error=0.05), device="cpu")
+    answers = []
+    with connected(workers=1, scheduler=None, cluster_file=None, device="cpu") as client:
+        queue = RenderQueue(
+            *(client, dataset, settings, "a run", lambda *answer: answers.append(answer)),
+            work=killed_before_the_answer,
+        )
+        tally = queue.run(["000004", "000005", "000006"])
+    assert (tally.counts, tally.failures) == ({"rendered": 3}, {})
+    assert [outcome.scene_id for outcome, final in answers if final] == ["000004", "000005", "000006"]
+    assert all(outcome.attributes["lights"] for outcome, _ in answers)
+    assert not list((three_missing / "renders" / ".claims").iterdir())
+    found, expected = results(three_missing), results(seven_renders)
+    images = [name for name in expected if name.endswith(".exr")]
+    assert [found[name] for name in images] == [expected[name] for name in images]
+
+
+@pytest.mark.long
 def test_a_worker_that_is_slow_to_come_back_is_waited_for(three_missing):
     process = start_render(three_missing)
     claim = claim_of(three_missing, "000005")
-    wait_for(lambda: begun(claim))
-    worker_at(process, claim).send_signal(signal.SIGKILL)
+    wait_for(lambda: killed_in(process, claim))
     wait_for(lambda: workers_of(process))
     (fresh,) = workers_of(process)
     fresh.suspend()

@@ -15,11 +15,11 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from render.farm.claims import attempts_of
-from render.farm.inventory import known_recipe
+from render.farm.claims import attempts_of, claimed
+from render.farm.inventory import Inventory, known_recipe
 from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
 from render.settings import RenderSettings
-from scenegen import Dataset, FailureRecord, NightError, write_failure
+from scenegen import Dataset, FailureRecord, NightError, read_record, write_failure
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -153,8 +153,10 @@ class RenderQueue:
         try:
             outcome: Outcome = future.result()
         except KilledWorker as error:
-            failed.deaths[scene_id] += 1
             where = getattr(error.last_worker, "address", "")
+            if (done := self._done_before_death(scene_id, where)) is not None:
+                return done
+            failed.deaths[scene_id] += 1
             reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
             return Outcome(scene_id, "failed", reason, f"{error}\n", worker=where)
         except CancelledError:
@@ -167,6 +169,16 @@ class RenderQueue:
             future.release()
         failed.answers[scene_id] += outcome.kind == "failed"
         return outcome
+
+    def _done_before_death(self, scene_id: str, worker: str) -> Outcome | None:
+        """The answer that a worker owed when it died; None if it had not written all files of the scene."""
+        if Inventory(self.dataset, self.settings).state(scene_id) != "done":
+            return None
+        with claimed(self.dataset.renders, scene_id) as claim:
+            if claim is not None:
+                claim.forget()
+        record = read_record(self.dataset.render_folder(scene_id))
+        return Outcome(scene_id, "rendered", attributes=record.attributes if record else {}, worker=worker)
 
     def _renew(self, address: str) -> None:
         """Replace a worker by a new process. A job that it has not begun yet is given out again."""
