@@ -119,7 +119,7 @@ def test_the_gallery_shows_the_first_scenes_and_the_worst(finished_run, closed_f
 
 @pytest.mark.long
 def test_networks_are_judged_on_every_corner(self_run, closed_form_scenes):
-    ours, nothing = many_corners(self_run, "--judge", closed_form_scenes.root)
+    ours, nothing = compared(self_run, "--judge", closed_form_scenes.root)
     assert ours.startswith(f"| {self_run} | {closed_form_scenes.root.name} | ")
     shards = open_shards(closed_form_scenes)
     block = shards.read(shards.rows("test"))
@@ -135,8 +135,8 @@ def test_runs_of_several_seeds_are_one_row_each(self_run, finished_run, closed_f
     runs = [tmp_path / name for name in ("ours-0", "ours-1", "other-0")]
     for run, source in zip(runs, (self_run, finished_run, self_run), strict=True):
         shutil.copytree(source, run)
-    each = many_corners(*runs, "--judge", closed_form_scenes.root)[:-1]
-    ours, other, _ = many_corners(*runs, "--judge", closed_form_scenes.root, "--over-seeds")
+    each = compared(*runs, "--judge", closed_form_scenes.root)[:-1]
+    ours, other, _ = compared(*runs, "--judge", closed_form_scenes.root, "--over-seeds")
     maes_cm = [float(row.split("|")[3]) for row in each]
     found_cm, spread_cm = (float(word) for word in ours.split("|")[3].split("±"))
     assert found_cm == pytest.approx(mean(maes_cm[:2]), abs=0.011)
@@ -145,8 +145,8 @@ def test_runs_of_several_seeds_are_one_row_each(self_run, finished_run, closed_f
     assert float(other.split("|")[3]) == maes_cm[2]
 
 
-def many_corners(*words: object) -> list[str]:
+def compared(*words: object) -> list[str]:
     """The rows that it prints."""
-    command = [sys.executable, BENCHMARKS / "many_corners.py", *map(str, words)]
+    command = [sys.executable, BENCHMARKS / "compare_networks.py", *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout.splitlines()[2:]

@@ -1,13 +1,13 @@
-r"""One corner or many: every network judged on the test scenes of every dataset.
+r"""Every network judged on the test scenes of every dataset.
 
-The fit of a network starts at the wall of the dataset, or, where each scene has its camera elsewhere, at that
+The fit of the wall starts at the wall of the dataset, or, where each scene has its camera elsewhere, at that
 of the camera in the middle. Run:
 
-    .venv/bin/python benchmarks/many_corners.py one many many-wall --judge judge judge-any outside
+    .venv/bin/python benchmarks/compare_networks.py one many many-wall --judge judge judge-any outside
 
 With --over-seeds, runs whose names differ only in the number after the last hyphen are one row:
 
-    .venv/bin/python benchmarks/many_corners.py images-0 images-1 none-0 none-1 --judge judge --over-seeds
+    .venv/bin/python benchmarks/compare_networks.py images-0 images-1 none-0 none-1 --judge judge --over-seeds
 """
 
 import argparse
