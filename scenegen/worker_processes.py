@@ -54,11 +54,19 @@ def submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: 
     """Submit a task. A worker that is started for it ignores Ctrl-C, which this process handles for all.
 
     Nor does it run the caller's script again, as new processes do for functions that are defined there.
+
+    Raises
+    ------
+    BrokenProcessPool : a worker was killed.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # new processes inherit the mask
     main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
     try:
         return pool.submit(task, *arguments)
+    except OSError as error:
+        if getattr(pool, "_broken", False):  # while this call started a worker (Python 3.11)
+            raise BrokenProcessPool(str(error)) from error
+        raise
     finally:
         sys.modules["__main__"] = main
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

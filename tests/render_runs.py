@@ -37,11 +37,13 @@ def run_log(data):
 
 def workers_of(process):
     """The processes of a command that render (not those that only keep count of resources)."""
-    try:
-        found = psutil.Process(process.pid).children(recursive=True)
-        return [child for child in found if "spawn_main" in " ".join(child.cmdline())]
-    except psutil.NoSuchProcess:
-        return []
+    found = []
+    with suppress(psutil.NoSuchProcess):
+        for child in psutil.Process(process.pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):
+                if "spawn_main" in " ".join(child.cmdline()):
+                    found.append(child)
+    return found
 
 
 def claim_of(data, scene_id):
@@ -76,6 +78,7 @@ def killed_in(process, claim, attempt=1):
     if worker is None:
         return False
     worker.kill()
+    psutil.wait_procs([worker], timeout=30)  # so that it is not listed any more
     return True
 
 

@@ -136,10 +136,11 @@ def test_one_scene_is_in_memory_at_a_time(tmp_path):
     for scene_id in others:
         shutil.copytree(dataset.render_folder(first), dataset.render_folder(scene_id), dirs_exist_ok=True)
     code = """
-import resource, sys
+import pathlib, re, sys
 import render, scenegen
 dataset, peaks = scenegen.open_dataset(sys.argv[1]), []
-note = lambda: peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+status = pathlib.Path("/proc/self/status")
+note = lambda: peaks.append(re.search(r"VmHWM:\\s+(\\d+) kB", status.read_text())[1])
 render.export_dataset(dataset, sys.argv[2], on_scene=note)
 print(peaks[2], peaks[-1])
 """

@@ -21,6 +21,7 @@ from render.farm.clusters import connected
 from render.farm.dask_settings import ClusterError, own_certificates
 
 WAIT_S = 2  # for an answer that must not come
+ANSWER_S = 60  # for one that must
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +40,11 @@ def servers(client):
     return [re.fullmatch(r"tls://(127\.0\.0\.1):(\d+)", address).groups() for address in addresses]
 
 
-async def submitted(address, security):
+async def submitted(address, security, timeout_s):
     """Send a Dask server an order, as its clients do; returns the answer."""
     from distributed.comm import connect
 
-    connection = await connect(address, timeout=WAIT_S, **security.get_connection_args("client"))
+    connection = await connect(address, timeout=timeout_s, **security.get_connection_args("client"))
     try:
         await connection.write({"op": "identity", "reply": True})
         return await connection.read()
@@ -56,9 +57,9 @@ def test_whoever_has_no_certificate_of_the_run_cannot_give_orders(client):
 
     for host, port in servers(client):
         with pytest.raises(OSError):
-            asyncio.run(submitted(f"tcp://{host}:{port}", Security()))
+            asyncio.run(submitted(f"tcp://{host}:{port}", Security(), WAIT_S))
         with pytest.raises(OSError, match="certificate"):
-            asyncio.run(submitted(f"tls://{host}:{port}", own_certificates()))
+            asyncio.run(submitted(f"tls://{host}:{port}", own_certificates(), ANSWER_S))
     with pytest.raises(OSError):
         Client(f"tcp://{host}:{port}", timeout=WAIT_S, set_as_default=False)
     assert client.submit(os.getpid).result() != os.getpid()
@@ -66,7 +67,7 @@ def test_whoever_has_no_certificate_of_the_run_cannot_give_orders(client):
 
 def test_bytes_that_are_no_handshake_are_not_answered_and_disturb_nobody(client):
     for host, port in servers(client):
-        with socket.create_connection((host, int(port)), WAIT_S) as connection:
+        with socket.create_connection((host, int(port)), ANSWER_S) as connection:
             connection.sendall(b"x" * 1000)
             with suppress(ConnectionResetError):
                 assert b"identity" not in connection.recv(1000)
@@ -82,7 +83,7 @@ def test_a_run_shows_no_web_pages(client):
         for page in ("", "status", "info/main/workers.html", "json/counts.json", "metrics", "health"):
             with pytest.raises(urllib.error.HTTPError, match="404") as missing:
                 urllib.request.urlopen(
-                    f"http://127.0.0.1:{each['services']['dashboard']}/{page}", timeout=WAIT_S
+                    f"http://127.0.0.1:{each['services']['dashboard']}/{page}", timeout=ANSWER_S
                 )
             missing.value.close()
 

@@ -39,11 +39,11 @@ def kill_with_workers(process):
 @pytest.mark.long
 def test_a_killed_command_leaves_what_an_undisturbed_one_does(three_missing, seven_renders, render_here):
     process = start_render(three_missing)
-    wait_for(lambda: begun(claim_of(three_missing, "000005")))  # so 000004 is done
+    wait_for(lambda: begun(claim_of(three_missing, "000004")))  # so 000006 is done, and 000005 comes last
     kill_with_workers(process)
     done = render_here(three_missing)
     assert done.returncode == 0, done.stderr
-    assert re.match("[12] scenes rendered", done.stdout)  # 000005 may have been finished before the kill
+    assert re.match("[12] scenes rendered", done.stdout)  # 000004 may have been finished before the kill
     assert results(three_missing) == results(seven_renders)
     assert not list(three_missing.glob("renders/[0-9]*/.*"))
 

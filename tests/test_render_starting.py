@@ -1,8 +1,8 @@
 """The start of workers: addresses that are no scheduler's, too few open files, workers that are killed."""
 
-import re
-import signal
+import shutil
 import socket
+import subprocess
 import threading
 import time
 from contextlib import contextmanager, suppress
@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 import psutil
 import pytest
 from night_commands import night_here
-from render_runs import SETTINGS, results, start_render, wait_for, workers_of
+from render_runs import SETTINGS, results, start_render, workers_of
 
 from render.farm.clusters import connected
 from render.farm.dask_settings import ClusterError
@@ -89,7 +89,7 @@ def killing_first_workers(count):
 
     def kill():
         while not stop.is_set() and len(killed) < count:
-            for child in psutil.Process().children(recursive=True):
+            for child in psutil.Process().children():  # not the workers of a cluster of other tests
                 with suppress(psutil.NoSuchProcess):
                     is_worker = "spawn_main" in " ".join(child.cmdline())
                     if is_worker and child.pid not in killed and len(killed) < count:
@@ -120,27 +120,39 @@ def test_a_worker_that_is_killed_while_it_starts_costs_one_retry(workers):
 
 @pytest.mark.long
 def test_workers_that_are_always_killed_while_they_start_end_the_run_in_one_sentence(unrendered):
-    with killing_first_workers(100):
+    with killing_first_workers(100) as killed:
         done = night_here("night-render", unrendered, *SETTINGS, "--workers", 2)
+    assert killed
     assert done.returncode == 2
     assert "Error: the worker processes did not start, at two attempts" in done.stderr.splitlines()[-1]
-    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+    assert not [child for child in psutil.Process().children() if child.pid in killed]
 
 
 @pytest.mark.long
 def test_processes_killed_at_any_moment_of_the_start_change_no_result(unrendered, seven_renders):
-    """Every tenth of a second of the start, one of the processes of the command is killed."""
-    for tenth in range(2, 32, 3):
-        process = start_render(unrendered, "--workers", "2", "--only", "000000")
-        time.sleep(tenth / 10)
-        for worker in workers_of(process)[:1]:
+    """At six moments between the start and the end of a command, its worker is killed."""
+
+    def rendered(kill_after_s):
+        shutil.rmtree(unrendered / "renders" / "000000", ignore_errors=True)
+        process = start_render(unrendered, "--workers", "1", "--only", "000000")
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(kill_after_s)
+        workers = workers_of(process)
+        for worker in workers:
             with suppress(psutil.NoSuchProcess):
-                worker.send_signal(signal.SIGKILL)
+                worker.kill()
         output, errors = process.communicate(timeout=300)
         assert process.returncode == 0, errors
         assert "Traceback" not in errors
-        assert re.match("[01] scenes rendered", output)
+        assert output.startswith("1 scenes rendered")
+        assert not psutil.wait_procs(workers, timeout=30)[1]
+        return len(workers)
+
+    started = time.monotonic()
+    assert rendered(300) == 0
+    took_s = time.monotonic() - started
+    killed = [rendered(took_s * sixth / 6) for sixth in range(6)]
+    assert any(killed)
     of_scene = {name: found for name, found in results(unrendered).items() if "000000/" in name}
     assert of_scene
     assert of_scene.items() <= results(seven_renders).items()
-    wait_for(lambda: not workers_of(process))

@@ -168,7 +168,7 @@ def test_a_worker_killed_after_a_scene_and_before_its_answer_has_rendered_it(thr
 @pytest.mark.long
 def test_a_worker_that_is_slow_to_come_back_is_waited_for(three_missing):
     process = start_render(three_missing)
-    claim = claim_of(three_missing, "000005")
+    claim = claim_of(three_missing, "000004")
     wait_for(lambda: killed_in(process, claim))
     wait_for(lambda: workers_of(process))
     (fresh,) = workers_of(process)

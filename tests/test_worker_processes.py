@@ -1,12 +1,13 @@
 """Workers that a broken pool leaves behind."""
 
 import time
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 import pytest
 
-from scenegen.worker_processes import ended_when_broken
+from scenegen.worker_processes import ended_when_broken, submit, worker_pool
 
 SPAWN = get_context("spawn")
 
@@ -29,3 +30,18 @@ def test_a_pool_that_breaks_takes_the_workers_with_it_that_it_has_started_and_no
     finally:
         earlier.kill()
         worker.kill()
+
+
+def test_a_worker_that_dies_while_the_next_one_starts_breaks_the_pool(monkeypatch):
+    def kill_the_first(start=ProcessPoolExecutor._spawn_process):
+        (worker,) = pool._processes.values()
+        worker.kill()
+        while not pool._call_queue._closed:  # by the thread that watches the workers
+            time.sleep(0.01)
+        start(pool)
+
+    with worker_pool(2, id) as pool:
+        submit(pool, time.sleep, 600)
+        monkeypatch.setattr(pool, "_spawn_process", kill_the_first)
+        with pytest.raises(BrokenProcessPool):
+            submit(pool, time.sleep, 600)

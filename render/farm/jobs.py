@@ -105,7 +105,7 @@ def render_scene(job: Job) -> Outcome:
         try:
             outcome = _render(job, renderer, inventory)
         except OSError as error:
-            hopeless = error.errno in _HOPELESS or _free_bytes(Path(job.root)) < _LEAST_FREE_BYTES
+            hopeless = error.errno in _HOPELESS or _is_full(Path(job.root))
             reason = f"{error.filename or job.root}: {error.strerror or error}"
             if hopeless:
                 reason = f"no space left for scene {job.scene_id} ({reason}): free some space and start again"
@@ -208,9 +208,9 @@ def _on_host(error: BaseException) -> str:
     return f"worker on {socket.gethostname()}: {' '.join(str(error).split())}"
 
 
-def _free_bytes(folder: Path) -> int:
+def _is_full(folder: Path) -> bool:
     try:
         state = os.statvfs(folder)
-    except OSError:
-        return 0
-    return state.f_bavail * state.f_frsize
+    except OSError:  # it was deleted, which the next job reports
+        return False
+    return state.f_bavail * state.f_frsize < _LEAST_FREE_BYTES

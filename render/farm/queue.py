@@ -115,6 +115,7 @@ class RenderQueue:
             elif outcome.kind == "failed" and not self._is_final(outcome, failed):
                 self.on_outcome(outcome, False)
                 waiting.append(scene_id)
+                slots, counted = self._slots(), time.monotonic()  # its worker may have died
             else:
                 self._settle(outcome, failed)
         return self.tally
@@ -171,7 +172,10 @@ class RenderQueue:
         return outcome
 
     def _done_before_death(self, scene_id: str, worker: str) -> Outcome | None:
-        """The answer that a worker owed when it died; None if it had not written all files of the scene."""
+        """The answer that a worker owed when it died; None if it had not written all files of the scene.
+
+        If another command has just rendered the scene, it counts as rendered twice.
+        """
         if Inventory(self.dataset, self.settings).state(scene_id) != "done":
             return None
         with claimed(self.dataset.renders, scene_id) as claim:
@@ -203,9 +207,10 @@ class RenderQueue:
             scene_id = outcome.scene_id
             self.tally.failures[scene_id] = outcome.reason
             if not outcome.final:
+                begun = min(attempts_of(self.dataset.renders, scene_id, self.run_id), MAX_ATTEMPTS)
                 failure = FailureRecord(
                     recipe=known_recipe(self.dataset, self.settings, scene_id),
-                    attempts=failed.answers[scene_id] + failed.deaths[scene_id],
+                    attempts=max(begun, failed.answers[scene_id]) or failed.deaths[scene_id],
                     reason=outcome.reason,
                 )
                 write_failure(self.dataset.render_folder(scene_id), failure, outcome.log)

@@ -138,13 +138,13 @@ def _run(words, folder, before, after):
 
 
 def _settle(folder, private):
-    """Process group, streams, working directory, environment and limits of the child."""
-    os.setsid()
+    """Streams, process group, working directory, environment and limits of the child."""
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in enumerate(_STREAMS, start=1):
         descriptor = os.open(private / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
         os.dup2(descriptor, number)
         os.close(descriptor)
+    os.setsid()  # from here on it may be killed, and what it printed is there
     sys.path[:] = sys.modules["imported"].SYS_PATH  # not that of the tests: see `Forks`
     os.chdir(folder)
     os.environ.update(HOME=str(folder.parent / "home"), TMPDIR=str(private))
