@@ -37,13 +37,19 @@ def run_log(data):
 
 def workers_of(process):
     """The processes of a command that render (not those that only keep count of resources)."""
-    found = []
-    with suppress(psutil.NoSuchProcess):
-        for child in psutil.Process(process.pid).children(recursive=True):
-            with suppress(psutil.NoSuchProcess):
-                if "spawn_main" in " ".join(child.cmdline()):
-                    found.append(child)
-    return found
+    try:
+        children = psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+    return [child for child in children if is_worker(child)]
+
+
+def is_worker(process):
+    """Whether a process is alive, and one that renders."""
+    try:
+        return "spawn_main" in " ".join(process.cmdline())
+    except psutil.NoSuchProcess:
+        return False
 
 
 def claim_of(data, scene_id):

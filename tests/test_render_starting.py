@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 import psutil
 import pytest
 from night_commands import night_here
-from render_runs import SETTINGS, results, start_render, workers_of
+from render_runs import SETTINGS, is_worker, results, start_render, workers_of
 
 from render.farm.clusters import connected
 from render.farm.dask_settings import ClusterError
@@ -90,11 +90,9 @@ def killing_first_workers(count):
     def kill():
         while not stop.is_set() and len(killed) < count:
             for child in psutil.Process().children():  # not the workers of a cluster of other tests
-                with suppress(psutil.NoSuchProcess):
-                    is_worker = "spawn_main" in " ".join(child.cmdline())
-                    if is_worker and child.pid not in killed and len(killed) < count:
-                        child.kill()
-                        killed.append(child.pid)
+                if is_worker(child) and child.pid not in killed and len(killed) < count:
+                    child.kill()
+                    killed.append(child.pid)
             time.sleep(0.01)
 
     thread = threading.Thread(target=kill)
@@ -125,7 +123,7 @@ def test_workers_that_are_always_killed_while_they_start_end_the_run_in_one_sent
     assert killed
     assert done.returncode == 2
     assert "Error: the worker processes did not start, at two attempts" in done.stderr.splitlines()[-1]
-    assert not [child for child in psutil.Process().children() if child.pid in killed]
+    assert not [child for child in psutil.Process().children() if is_worker(child)]
 
 
 @pytest.mark.long

@@ -6,6 +6,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 import pytest
+from render_runs import wait_for
 
 from scenegen.worker_processes import ended_when_broken, submit, worker_pool
 
@@ -36,8 +37,7 @@ def test_a_worker_that_dies_while_the_next_one_starts_breaks_the_pool(monkeypatc
     def kill_the_first(start=ProcessPoolExecutor._spawn_process):
         (worker,) = pool._processes.values()
         worker.kill()
-        while not pool._call_queue._closed:  # by the thread that watches the workers
-            time.sleep(0.01)
+        wait_for(lambda: pool._call_queue._closed)  # by the thread that watches the workers
         start(pool)
 
     with worker_pool(2, id) as pool:

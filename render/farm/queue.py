@@ -172,9 +172,9 @@ class RenderQueue:
         return outcome
 
     def _done_before_death(self, scene_id: str, worker: str) -> Outcome | None:
-        """The answer that a worker owed when it died; None if it had not written all files of the scene.
+        """The answer for a worker that died after it had written all files of the scene; None if it had not.
 
-        If another command has just rendered the scene, it counts as rendered twice.
+        A scene that another command has just rendered is counted as rendered by both commands.
         """
         if Inventory(self.dataset, self.settings).state(scene_id) != "done":
             return None
