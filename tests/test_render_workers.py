@@ -23,7 +23,7 @@ from render_runs import (
 )
 
 from render.farm.clusters import connected
-from render.farm.jobs import render_scene
+from render.farm.jobs import Outcome, render_scene
 from render.farm.queue import RenderQueue
 from render.farm.run import RunOptions, render_dataset
 from render.options import ManyLightOptions
@@ -163,6 +163,28 @@ def test_a_worker_killed_after_a_scene_and_before_its_answer_has_rendered_it(thr
     found, expected = results(three_missing), results(seven_renders)
     images = [name for name in expected if name.endswith(".exr")]
     assert [found[name] for name in images] == [expected[name] for name in images]
+
+
+@pytest.mark.long
+def test_attempts_are_those_that_began(three_missing, tmp_path):
+    died = tmp_path / "died"
+
+    def dies_once_and_then_fails(job):
+        if not died.exists():
+            died.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Outcome(job.scene_id, "failed", "the scene is bad")
+
+    dataset = open_dataset(three_missing)
+    settings = RenderSettings(product="both", options=ManyLightOptions(error=0.05), device="cpu")
+    with connected(workers=1, scheduler=None, cluster_file=None, device="cpu") as client:
+        queue = RenderQueue(
+            client, dataset, settings, "a run", lambda *_: None, work=dies_once_and_then_fails
+        )
+        assert queue.run(["000004"]).failures == {"000004": "the scene is bad"}
+    failure = read_failure(three_missing / "renders" / "000004")
+    assert failure is not None
+    assert failure.attempts == 2
 
 
 @pytest.mark.long
