@@ -3,7 +3,7 @@ r"""Every network judged on the test scenes of every dataset.
 The fit of the wall starts at the wall of the dataset, or, where each scene has its camera elsewhere, at that
 of the camera in the middle. Run:
 
-    .venv/bin/python benchmarks/compare_networks.py one many many-wall --judge judge judge-any outside
+    .venv/bin/python benchmarks/compare_networks.py one phases-0 wall-0 --judge judge judge-any outside
 
 With --over-seeds, runs whose names differ only in the number after the last hyphen are one row:
 
