@@ -75,9 +75,9 @@ def test_two_processes_train_the_network_of_one(dataset, tmp_path, special):
     first, one, two = (checkpoint(tmp_path / name) for name in ("begin", "one", "two"))
     for name, weight in one["network"].items():
         way = float((weight - first["network"][name]).norm())
-        # Sums in another order: rounding, which Adam's division by small gradients makes larger. The images of
-        # the corner are not trained. Their inverse makes the rounding of another process larger: a CI machine
-        # had 4e-6 of them.
+        # Sums in another order: rounding, which Adam's division by small gradients makes larger. The images
+        # of the corner are not trained, but their inverse makes the rounding of another process larger: a CI
+        # machine had 4e-6 of them.
         is_trained = not name.startswith("images.")
         assert (way > 0) == is_trained, name
         allowed = 1e-2 * way if is_trained else 1e-4 * float(weight.norm())
