@@ -1,6 +1,7 @@
 """Shared real things: a running Blender, a Mitsuba variant, and small datasets made with them."""
 
 import shutil
+import signal
 import tomllib
 
 import exported_scene
@@ -13,6 +14,10 @@ from render_runs import SETTINGS
 
 from itof import TransientReader
 from scenegen import load_preset, open_dataset, preset_from_dict
+
+# A shell without job control starts a command with & so that it ignores Ctrl-C, and its children, too.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
