@@ -15,7 +15,7 @@ from render_runs import SETTINGS
 from itof import TransientReader
 from scenegen import load_preset, open_dataset, preset_from_dict
 
-# A shell without job control starts a command with & so that it ignores Ctrl-C, and its children, too.
+# What a script starts with & ignores Ctrl-C, and so would the commands that these tests start.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
