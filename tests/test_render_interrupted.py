@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import signal
+from dataclasses import replace
 
 import psutil
 import pytest
@@ -23,7 +24,11 @@ from render_runs import (
 )
 from small_disk import small_disk
 
+from render import rendering
+from render.farm import jobs
 from render.farm.claims import claimed
+from render.options import ManyLightOptions
+from render.settings import RenderSettings
 from scenegen import read_record
 
 
@@ -94,6 +99,25 @@ def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(t
     assert done.returncode == 2
     assert "is no dataset" in done.stderr
     assert not three_missing.exists()
+
+
+def test_a_dataset_deleted_while_a_file_is_written_is_not_taken_for_a_full_disk(three_missing, monkeypatch):
+    write = rendering.write_image
+
+    def delete_and_write(*given):
+        three_missing.rename(three_missing.with_name("gone"))
+        write(*given)
+
+    monkeypatch.setattr(rendering, "write_image", delete_and_write)
+    monkeypatch.setattr(jobs, "_state", {})
+    settings = RenderSettings(options=ManyLightOptions(error=0.05), device="cpu")
+    job = jobs.Job(str(three_missing), settings, "000004", run_id="a")
+    outcome = jobs.render_scene(job)
+    assert outcome.kind == "failed"
+    assert "No such file or directory" in outcome.reason
+    after = jobs.render_scene(replace(job, scene_id="000005"))
+    assert after.kind == "stop"
+    assert "is no dataset" in after.reason
 
 
 @pytest.mark.long
