@@ -61,6 +61,21 @@ def test_blocks_give_pixels_back_and_pad_to_whole_blocks():
     assert float(output.detach().std()) > 0
 
 
+@pytest.mark.parametrize(("block", "seen"), [(4, (16, 22)), (2, (32, 44)), (1, (64, 80))])
+def test_the_heads_leave_out_padding_that_changes_no_pixel(block, seen):
+    network = UNet(2, 4, block=block, uncertainty=True, generator=seeded()).double()
+    seen_by_heads = []
+    for head in (network.head, network.uncertainty_head):
+        head.register_forward_pre_hook(lambda _, given: seen_by_heads.append(given[0].shape[-2:]))
+    image = torch.randn(1, 2, 60, 80, generator=seeded()).double()
+    output = network(image)
+    assert seen_by_heads == [seen, seen]  # blocks; all of them are (16, 32), (32, 48) and (64, 80)
+    left, top = -80 % (16 * block) // 2, -60 % (16 * block) // 2
+    by_hand = torch.nn.functional.pad(image, (left, left, top, top), mode="replicate")
+    whole = network(by_hand)[..., top : top + 60, left : left + 80]
+    torch.testing.assert_close(output, whole, rtol=0, atol=1e-12)
+
+
 def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive():
     first, second = (UNet(12, 8, generator=seeded(3)) for _ in range(2))
     other = UNet(12, 8, generator=seeded(4))

@@ -125,8 +125,11 @@ class UNet(nn.Module):
             x = upsample(x)
             # The number type of the convolutions: one float32 skip would make both halves float32, and back.
             x = block(torch.cat([skips.pop().to(x.dtype), x], dim=1))
+        # The heads see single pixels and few neighbours, so they leave most of the padding out.
+        rows, columns = (_blocks_seen(*axis, self.block) for axis in ((top, height), (left, width)))
+        top, left = top - rows.start * self.block, left - columns.start * self.block
         with torch.autocast(x.device.type, enabled=False):
-            features = x.to(channels.dtype)
+            features = x[..., rows, columns].to(channels.dtype)
             output: Tensor = self.head(features)
             if self.uncertainty_head is not None:
                 output = torch.cat([output, self.uncertainty_head(features.detach())], dim=1)
@@ -179,6 +182,12 @@ class UNet(nn.Module):
 def average_with_flip(network: Callable[[Tensor], Tensor], channels: Tensor, output: Tensor) -> Tensor:
     """(N, C', H, W) mean of `output` of (N, C, H, W) channels and of that of the images upside down."""
     return (output + network(channels.flip(-2)).flip(-2)) / 2
+
+
+def _blocks_seen(before: int, size: int, block: int) -> slice:
+    """The blocks of an axis that the heads need for `size` pixels after `before` pixels of padding."""
+    reach = len(HEAD_CHANNELS)  # pixels, one for each 3x3 convolution; the second head has fewer
+    return slice(max(0, (before - reach) // block), -(-(before + size + reach) // block))
 
 
 def _head(width: int, block: int, channels: tuple[int, ...]) -> nn.Sequential:
