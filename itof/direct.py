@@ -64,7 +64,10 @@ def direct_phasors(
         towards = rays @ axes @ normal  # cosine to the normal; same sign as gap_m: wall ahead
         ahead = towards * gap_m > 0
         radial_depth_m = np.where(ahead, gap_m / np.where(ahead, towards, 1.0), np.inf)
-        radiance = np.abs(towards) / (radial_depth_m**2 * rays[..., 2] ** 3)  # (rows s, W s); 0 at infinity
+        forward = rays[..., 2]
+        # Not forward ** 3: numpy rounds that of a strided array by where the array lies in memory.
+        cubed = forward * forward * forward
+        radiance = np.abs(towards) / (radial_depth_m**2 * cubed)  # (rows s, W s); 0 at infinity
         opl_m = 2 * np.where(ahead, radial_depth_m, 0.0)  # the optical path goes out and back
         shape = (last - first, subpixels, width, subpixels)
         each = [(radiance * np.exp(1j * k * opl_m)).reshape(shape).mean(axis=(1, 3)) for k in turns]

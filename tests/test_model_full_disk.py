@@ -42,6 +42,19 @@ def test_a_training_that_cannot_write_says_so_and_can_be_resumed(
     assert_same_end(run, finished_run)
 
 
+@pytest.mark.parametrize(("size", "file"), [(10, "history.csv"), (100_000, "checkpoint.pt")])
+def test_a_fine_tuning_that_cannot_write_its_first_weights_can_begin_again(
+    closed_form_scenes, finished_run, tmp_path, size, file
+):
+    run = tmp_path / "run"
+    advice = rf"{run / file} cannot be written \(File too large\): free some space and start again"
+    with file_size_limit(size), pytest.raises(RunError, match=advice):
+        train(closed_form_scenes, run, settings(), start_from=finished_run)
+    assert not run.exists()
+    train(closed_form_scenes, run, settings(), start_from=finished_run)
+    assert len(read_history(run)["epoch"]) == settings().max_epochs
+
+
 def test_a_history_or_log_that_cannot_be_written_is_named(finished_copy):
     record = EpochRecord(1, 0.1, 0.1, 0.1, 0.1, 0.1)
     before, file = read_history(finished_copy), finished_copy / "history.csv"

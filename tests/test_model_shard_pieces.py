@@ -10,6 +10,7 @@ import pytest
 from synthetic_dataset import edit_image, write_synthetic_dataset
 
 from itof import ImageFileError, join_components
+from model.data import shard_building
 from model.data.renders import ShardError
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
@@ -85,6 +86,22 @@ def test_more_scenes_rebuild_the_last_piece_and_add_new_ones(tmp_path, monkeypat
     assert rewritten(files, inodes(large)) == {"000004", "000006"}
     assert np.array_equal(shards.read(range(5)).phasors, before.phasors)
     assert shards.ids(range(8)) == large.ids()
+
+
+def test_pieces_that_another_process_has_built_in_the_meantime_are_taken(pairs, monkeypatch):
+    write, built = shard_building.write_piece, {}
+
+    def write_after_another_process(*arguments):
+        if not built:
+            monkeypatch.setattr(shard_building, "write_piece", write)
+            open_shards(pairs)
+            built.update(inodes(pairs))
+        write(*arguments)
+
+    monkeypatch.setattr(shard_building, "write_piece", write_after_another_process)
+    shards = open_shards(pairs)
+    assert rewritten(built, inodes(pairs)) == {"000000"}  # the piece that this process had begun
+    assert shards.ids(range(6)) == pairs.ids()
 
 
 def test_an_interrupted_build_goes_on_with_the_piece_it_was_at(pairs):

@@ -128,7 +128,10 @@ def _update_pieces(
     scene_count = sum(len(piece.scenes) for piece in stale)
     with showing_progress(scene_count, "scene", "shards", show=progress) as bar:
         for piece in stale:
-            write_piece(dataset, folder / piece.name, piece, bar.update, ground_truth)
+            if why_stale(folder / piece.name, piece, hashes):
+                write_piece(dataset, folder / piece.name, piece, bar.update, ground_truth)
+            else:  # another process has built it in the meantime
+                bar.update(len(piece.scenes))
     for piece in stale:
         why_stale(folder / piece.name, piece, hashes)  # hashes the new files while the disk cache has them
     return True

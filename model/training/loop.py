@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import torch
 
@@ -17,7 +19,7 @@ from model.data.object_depth import object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
 from model.network.wall_view import many_corners_problem, wall_view
-from model.run_folder.history import EpochRecord
+from model.run_folder.history import HISTORY_FILE, EpochRecord
 from model.run_folder.run_config import (
     CONFIG_FILE,
     RUN_SCHEMA,
@@ -53,6 +55,7 @@ from scenegen import Dataset, PathLike, remove_leftovers
 from scenegen.progress import showing_progress
 
 _log = logging.getLogger(__name__)
+_AGAIN: Final = "start again"
 
 
 @dataclass(frozen=True)
@@ -160,15 +163,28 @@ def _train(
             refuse_lost_start(before, out / CHECKPOINT_FILE)
         if checkpoint and before and before.schema_version < RUN_SCHEMA:
             state.save(out)  # before run.json: beside one of schema 2, files of both versions are accepted
-        if processes.is_first:
-            if state.history:
-                # A killed run may have left the files of a later epoch than that of its checkpoint.
-                state.save_results(out)
-            with naming_disk(out / CONFIG_FILE, "start again"):
-                write_config(out, config)
-        if start:
-            state.save(out)  # from now on --resume needs no other run
+        begun = [out / name for name in (CHECKPOINT_FILE, HISTORY_FILE)] if start else []
+        with _removed_on_failure(begun):
+            if start:
+                state.save(out, _AGAIN)  # before run.json: --resume never needs the other run
+            if processes.is_first:
+                if state.history:
+                    # A killed run may have left the files of a later epoch than that of its checkpoint.
+                    state.save_results(out)
+                with naming_disk(out / CONFIG_FILE, _AGAIN):
+                    write_config(out, config)
         return _run(state, out)
+
+
+@contextmanager
+def _removed_on_failure(files: Sequence[Path]) -> Iterator[None]:
+    """Remove `files` if a run cannot begin, because a folder with other files is no place for a new one."""
+    try:
+        yield
+    except RunError:
+        for file in files:
+            file.unlink(missing_ok=True)
+        raise
 
 
 def _configure(

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
+from typing import Final
 
 from itof.sensor.settings import SensorSettings
 from model.data.shards import Shards
@@ -15,6 +16,8 @@ from model.sensors import view_problem
 from model.settings import TrainSettings
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset, NightError, is_partial
+
+GO_ON: Final = "go on with night-train --resume; the run keeps its last checkpoint"
 
 
 class TrainingError(NightError):
@@ -120,9 +123,7 @@ def naming_memory(config: RunConfig) -> Iterator[None]:
 
 
 @contextmanager
-def naming_disk(
-    path: Path, then: str = "go on with night-train --resume; the run keeps its last checkpoint"
-) -> Iterator[None]:
+def naming_disk(path: Path, then: str = GO_ON) -> Iterator[None]:
     """Turn the exceptions of a full or read-only disk into a `RunError`.
 
     Parameters

@@ -32,7 +32,7 @@ from model.training.checkpoint_contents import (
 )
 from model.training.optimisation import epochs_without_improvement
 from model.training.processes import Processes, processes_of_this_machine
-from model.training.refusals import TrainingError, naming_disk
+from model.training.refusals import GO_ON, TrainingError, naming_disk
 from model.training.step import TrainingStep
 from model.training.uncertainty_fit import UncertaintyFactors
 from scenegen import Split
@@ -134,8 +134,12 @@ class TrainingState:
                 name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in weights.items()
             }
 
-    def save(self, out: Path) -> None:
+    def save(self, out: Path, then: str = GO_ON) -> None:
         """Write the best weights, the history and then the checkpoint that refers to them.
+
+        Parameters
+        ----------
+        then : what to do when a full disk has room again.
 
         Raises
         ------
@@ -150,7 +154,7 @@ class TrainingState:
                 f"the weights stopped being numbers in epoch {len(self.history) + 1}: try a smaller learning "
                 "rate or clip_norm; the run keeps its last checkpoint"
             )
-        self.save_results(out)
+        self.save_results(out, then=then)
         state = {
             "network": self.step.network.state_dict(),
             "optimisation": self.optimisation.state(),
@@ -159,16 +163,16 @@ class TrainingState:
             "history": [asdict(record) for record in self.history],
             "window_rows": self.feeds["train"].window_rows,
         }
-        with naming_disk(out / CHECKPOINT_FILE):
+        with naming_disk(out / CHECKPOINT_FILE, then):
             save_checkpoint(out, state, self.run_id)
         self.saved_at = time.monotonic()
 
-    def save_results(self, out: Path, *, weights: bool = True) -> None:
+    def save_results(self, out: Path, *, weights: bool = True, then: str = GO_ON) -> None:
         """Write the best weights, unless they are the same as before, and the history that refers to them."""
         if self.best_weights and weights:
-            with naming_disk(out / WEIGHTS_FILE):
+            with naming_disk(out / WEIGHTS_FILE, then):
                 save_weights(out, self.best_weights, self.run_id)
-        with naming_disk(out / HISTORY_FILE):
+        with naming_disk(out / HISTORY_FILE, then):
             write_history(out, self.history)
 
     def restore(self, state: Mapping[str, Any], file: Path) -> None:

@@ -41,7 +41,8 @@ class LogitCount:
 
     def add(self, logit: Tensor, mask: Tensor) -> None:
         """Count (N, H, W) logits of pixels that show the object where `mask` is above 0."""
-        clipped = logit.detach().double().clamp(-_LARGEST, _LARGEST).flatten()
+        known = logit.detach().double().nan_to_num(0.0)  # an epoch with NaN is refused, after its last batch
+        clipped = known.clamp(-_LARGEST, _LARGEST).flatten()
         place = (clipped.sign() * (clipped.abs() / _LARGEST).sqrt() + 1) / 2 * _BINS  # in [0, BINS]
         index = place.long().clamp(max=_BINS - 1)
         shown = (mask.flatten() > 0).double()
