@@ -76,16 +76,40 @@ def log_slope(xp: ModuleType, values: Any, axis: int, largest_ratio: float | Non
     v = xp.moveaxis(values, axis, -1)
     ratio = quotient(xp, v[..., 1:], v[..., :-1])  # (..., n - 1)
     known = ratio != 0
-    step = xp.log(xp.where(known, ratio, xp.ones_like(ratio)))
+    step = _log(xp, xp.where(known, ratio, xp.ones_like(ratio)))
     if largest_ratio is not None:
         known = known & (xp.exp(xp.abs(step)) <= largest_ratio)
-    none, unknown = xp.zeros_like(v[..., :1]), xp.zeros_like(v[..., :1], dtype=xp.bool)
+    of_all = v.shape[-1] > 2 and bool(xp.all(known))
+    slope = _slope_of_all(xp, step) if of_all else _slope_of_some(xp, step, known, xp.zeros_like(v[..., :1]))
+    return xp.moveaxis(slope, -1, axis)
+
+
+def _log(xp: ModuleType, values: Any) -> Any:
+    """Logarithm of real or complex numbers; PyTorch's complex one takes twice the time of its two parts."""
+    if not xp.isdtype(values.dtype, "complex floating"):
+        return xp.log(values)
+    return xp.log(xp.abs(values)) + 1j * xp.atan2(xp.imag(values), xp.real(values))
+
+
+def _slope_of_all(xp: ModuleType, step: Any) -> Any:
+    """As `_slope_of_some` where all of at least two steps are known, in a fifth of the time."""
+    first = step[..., :1] - (step[..., 1:2] - step[..., :1]) / 2
+    last = step[..., -1:] + (step[..., -1:] - step[..., -2:-1]) / 2
+    return xp.concat([first, (step[..., :-1] + step[..., 1:]) / 2, last], axis=-1)
+
+
+def _slope_of_some(xp: ModuleType, step: Any, known: Any, none: Any) -> Any:
+    """(..., n) slopes of (..., n - 1) steps between neighbours, of which only some are known.
+
+    `none` is (..., 1) zeros.
+    """
+    unknown = xp.zeros_like(none, dtype=xp.bool)
     before, after = (xp.concat(pair, axis=-1) for pair in ([none, step], [step, none]))  # (..., n)
     has_before, has_after = (xp.concat(pair, axis=-1) for pair in ([unknown, known], [known, unknown]))
-    bend = xp.where(has_before & has_after, after - before, xp.zeros_like(v))
+    bend = xp.where(has_before & has_after, after - before, xp.zeros_like(before))
     bend_before, bend_after = (
         xp.concat(pair, axis=-1) for pair in ([none, bend[..., :-1]], [bend[..., 1:], none])
     )
     one_sided = xp.where(has_after, after - bend_after / 2, before + bend_before / 2)
     slope = xp.where(has_before & has_after, (before + after) / 2, one_sided)
-    return xp.moveaxis(xp.where(has_before | has_after, slope, xp.zeros_like(v)), -1, axis)
+    return xp.where(has_before | has_after, slope, xp.zeros_like(before))

@@ -65,6 +65,30 @@ def test_a_resumed_streamed_run_ends_with_the_weights_of_an_uninterrupted_one(st
     assert_same_end(tmp_path / "run", tmp_path / "whole")
 
 
+def test_a_streamed_self_calibrated_run_stopped_within_an_epoch_ends_as_an_uninterrupted_one(
+    streamed, tmp_path
+):
+    dataset, memory_bytes = streamed
+    course = settings(
+        batch_size=2, max_epochs=3, checkpoint_minutes=0.0, channels="residual", reference="self"
+    )
+    end = train(dataset, tmp_path / "whole", course, memory_bytes=memory_bytes)
+    batches = []
+
+    def stop(network):
+        batches.append(network.training)
+        if network.training and sum(batches) == 6:  # of the four batches of an epoch: the second of epoch 2
+            raise KeyboardInterrupt
+
+    with before_each_network(stop), pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path / "run", course, memory_bytes=memory_bytes)
+    state = checkpoint(tmp_path / "run")
+    assert (len(state["history"]), state["position"]["batches"]) == (1, 1)
+    # The walls of the rows are fitted again, also those of the first epoch.
+    assert train(dataset, tmp_path / "run", course, resume=True, memory_bytes=memory_bytes) == end
+    assert_same_end(tmp_path / "run", tmp_path / "whole")
+
+
 def test_pieces_change_nothing_as_long_as_memory_holds_them_all(streamed, finished_run, tmp_path):
     train(streamed[0], tmp_path / "pieces", settings())
     weights = (finished_run / "best.safetensors").read_bytes()

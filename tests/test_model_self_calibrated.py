@@ -13,6 +13,8 @@ from wall_measurements import farther
 
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
+from model.data.wall_fits import WallFits
+from model.network import channels as channels_module
 from model.network.channels import ChannelError
 from model.network.wall_view import wall_view
 from model.prediction.measurement_files import MeasurementError
@@ -84,6 +86,30 @@ def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch)
     plain = inputs.apply(phasors, inputs.reference_for(phasors, wall))
     # complex64: 1e-7 of 1, divided by the residual's scale of 3e-4
     torch.testing.assert_close(maker.batch(rows).channels, plain, rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize("reference", ["self", "self+wiggling"])
+@pytest.mark.parametrize("channels", ["residual", "residual+wall"])
+def test_a_row_that_is_uploaded_again_has_the_same_reference_without_another_fit(
+    self_run, shards, monkeypatch, reference, channels
+):
+    predictor, fitted, fit = load(self_run, "cpu"), [], channels_module.fit_wall
+
+    def counted_fit(phasor, *arguments, **options):
+        fitted.append(len(phasor))
+        return fit(phasor, *arguments, **options)
+
+    monkeypatch.setattr(channels_module, "fit_wall", counted_fit)
+    scale = (1, 1) if channels == "residual+wall" else None
+    inputs = replace(predictor.config.inputs, reference=reference, channels=channels, wall_scale_per_m=scale)
+    maker = BatchMaker.for_shards(inputs, shards.manifest.frequencies_hz, predictor.wall, torch.device("cpu"))
+    expected = maker.upload(shards.read(range(12))).reference
+    fits = WallFits(inputs)
+    fitted.clear()
+    for rows in ([3, 4, 5], [4, 5, 7], [7, 3]):
+        found = maker.upload_to_augment(shards.read(rows), fits).reference
+        assert torch.equal(found, expected[rows])
+    assert fitted == [3, 3]  # the second has a new row, the third has none
 
 
 def test_a_reference_kept_without_noise_keeps_the_share_of_the_noise_that_a_fit_takes():

@@ -44,28 +44,65 @@ _STEEPEST: Final = 0.5  # radians per pixel; a larger step of the phase is the e
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Outcome of `calibrate`; arrays of the library of the measurement.
+class FittedWall:
+    """Wall and phases that images show; arrays of the library of the measurement.
 
     Attributes
     ----------
     plane_per_m : (..., 3) fitted plane m in camera axes, 1/m.
     offsets_rad : (..., F) fitted phase offsets, modulo 2π.
-    wiggling_rad : (..., F, 2) fitted a_f and b_f; 0 if they were not fitted.
-    direct : (..., H, W, F) complex, the expected direct return, moved to the fitted wall and phases. It has
-        the brightness of the expected wall.
+    wiggling_rad : (..., F, 2) fitted a_f and b_f; None if they were not fitted.
     """
 
     plane_per_m: Any
     offsets_rad: Any
-    wiggling_rad: Any
-    direct: Any
+    wiggling_rad: Any = None
+
+    def moved(self, phasor: Any, wall: ExpectedWall) -> Any:
+        """(..., H, W, F) complex, the direct return of the expected `wall`, moved to this wall and phases.
+
+        It has the brightness of the expected wall. `phasor` (..., H, W, F) are the images that were fitted.
+        """
+        xp = array_namespace(phasor)
+        shape = tuple(phasor.shape)
+        turn, _ = _Rays.of(xp, phasor, wall).turn(self.plane_per_m, self.offsets_rad)
+        direct = turned_reference(wall.direct, xp.reshape(xp.matrix_transpose(turn), shape))
+        if self.wiggling_rad is not None:  # the camera's error is that of the phase of a whole pixel
+            waves = xp.stack(_waves(xp, _by_frequency(xp, phasor)), axis=-2)  # (..., F, 2, n)
+            wiggle = xp.sum(waves * self.wiggling_rad[..., None], axis=-2)
+            wiggle = xp.reshape(xp.matrix_transpose(wiggle), shape)
+            direct = xp.astype(direct * (xp.cos(wiggle) + 1j * xp.sin(wiggle)), direct.dtype)
+        return direct
+
+
+@dataclass(frozen=True)
+class Calibration(FittedWall):
+    """Outcome of `calibrate`: a fitted wall, with `wiggling_rad` 0 if it was not fitted.
+
+    Attributes
+    ----------
+    direct : (..., H, W, F) complex, the expected direct return, `moved` to the fitted wall and phases.
+    """
+
+    direct: Any = None
 
 
 def calibrate(
     phasor: Any, wall: ExpectedWall, *, wiggling: bool = False, start_per_m: Any = None
 ) -> Calibration:
-    """Fit plane, phase offsets and, with `wiggling`, the four-cycle error to each image, and move the wall.
+    """Fit the wall to each image (`fit_wall`, with its parameters), and move the expected wall there."""
+    fit = fit_wall(phasor, wall, wiggling=wiggling, start_per_m=start_per_m)
+    waves = fit.wiggling_rad
+    if waves is None:
+        xp, shape = array_namespace(phasor), (*fit.offsets_rad.shape, 2)
+        waves = xp.zeros(shape, dtype=fit.offsets_rad.dtype, device=device(phasor))
+    return Calibration(fit.plane_per_m, fit.offsets_rad, waves, fit.moved(phasor, wall))
+
+
+def fit_wall(
+    phasor: Any, wall: ExpectedWall, *, wiggling: bool = False, start_per_m: Any = None
+) -> FittedWall:
+    """Fit plane, phase offsets and, with `wiggling`, the four-cycle error to each image.
 
     Parameters
     ----------
@@ -88,18 +125,7 @@ def calibrate(
     for width in _WIDTHS_RAD:
         plane, local = problem.step(plane, local, width)
     plane, local = _kept(xp, plane), _kept(xp, local)
-    phases = [problem.turn(plane, local[..., 0])[0], problem.wiggle(local)]
-    turn, wiggle = (xp.reshape(xp.matrix_transpose(each), tuple(phasor.shape)) for each in phases)
-    direct = turned_reference(wall.direct, turn)
-    if wiggling:  # the camera's error is that of the phase of a whole pixel
-        direct = xp.astype(direct * (xp.cos(wiggle) + 1j * xp.sin(wiggle)), direct.dtype)
-    none = xp.zeros((*local.shape[:-1], 2), dtype=local.dtype, device=device(local))
-    return Calibration(
-        plane_per_m=plane,
-        offsets_rad=local[..., 0],
-        wiggling_rad=local[..., 1:] if wiggling else none,
-        direct=direct,
-    )
+    return FittedWall(plane, local[..., 0], local[..., 1:] if wiggling else None)
 
 
 def turned_reference(reference: Any, turn_rad: Any) -> Any:
@@ -123,47 +149,32 @@ def turned_reference(reference: Any, turn_rad: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """Phases of n pixels over those of the expected wall, float64; leading axes are those of the images.
+class _Rays:
+    """The n pixels' rays to the expected wall, float64.
 
     Attributes
     ----------
-    phases : (..., F, n) measured over expected, radians, modulo 2π.
-    basis : (..., F, Q, n) what the Q unknowns of each frequency multiply: 1, and the four cycles.
-    weight : (..., 1, n) weights of the pixels; 0 where a pixel holds no light.
     rays : ([N,] n, 3).
+    meets : ([N,] n) whether a ray meets the wall.
     expected_depth_m : ([N,] n) with 0 where the ray misses the wall.
     slope : (F, 1) rad/m.
     """
 
     xp: ModuleType
-    phases: Any
-    basis: Any
-    weight: Any
     rays: Any
+    meets: Any
     expected_depth_m: Any
     slope: Any
 
     @classmethod
-    def of(cls, xp: ModuleType, phasor: Any, wall: ExpectedWall, wiggling: bool) -> _Problem:
-        known = weighted_reference(wall.direct, xp.abs(phasor[..., 0]))
-        ratio = phasor * xp.conj(quotient(xp, known, xp.abs(known)))  # (..., H, W, F)
-        rows = (*phasor.shape[:-3], -1, phasor.shape[-1])
-        ratio, measured = (xp.moveaxis(xp.reshape(each, rows), -1, -2) for each in (ratio, phasor))
-        phases, cycles = (xp.astype(xp.atan2(xp.imag(z), xp.real(z)), xp.float64) for z in (ratio, measured))
-        waves = [xp.cos(4 * cycles), xp.sin(4 * cycles)] if wiggling else []
+    def of(cls, xp: ModuleType, phasor: Any, wall: ExpectedWall) -> _Rays:
         pixels = (*wall.rays.shape[:-3], -1)  # ([N,] n)
         meets = xp.reshape(xp.isfinite(wall.radial_depth_m), pixels)
-        lit = xp.all(ratio != 0, axis=-2, keepdims=True) & meets[..., None, :]  # (..., 1, n)
-        strength = xp.reshape(xp.astype(wall.fit_strength, xp.float64), pixels)[..., None, :]
-        strongest = xp.max(strength, axis=-1, keepdims=True)
         depth_m = xp.reshape(wall.radial_depth_m, pixels)
         return cls(
             xp,
-            phases,
-            xp.stack([xp.ones_like(phases), *waves], axis=-2),
-            (strength / xp.clip(strongest, min=_DARKEST)) ** 2 * xp.astype(lit, xp.float64),
             xp.reshape(wall.rays, (*pixels, 3)),
+            meets,
             xp.where(meets, depth_m, xp.zeros_like(depth_m)),
             xp.asarray(wall.slope, dtype=xp.float64, device=device(phasor))[:, None],
         )
@@ -175,30 +186,64 @@ class _Problem:
         depth_m = xp.where(xp.isfinite(depth_m), depth_m, self.expected_depth_m)
         return (depth_m - self.expected_depth_m)[..., None, :] * self.slope + offset[..., None], depth_m
 
-    def wiggle(self, local: Any) -> Any:
-        """Four-cycle errors (..., F, n) of the local unknowns (..., F, Q); 0 if Q is 1."""
-        return self.xp.sum(self.basis[..., 1:, :] * local[..., 1:, None], axis=-2)
+
+@dataclass(frozen=True)
+class _Problem:
+    """Phases of n pixels over those of the expected wall, float64; leading axes are those of the images.
+
+    Attributes
+    ----------
+    pixels : rays of the pixels.
+    phases : (..., F, n) measured over expected, radians, modulo 2π.
+    basis : (..., F, Q, n) what the Q unknowns of each frequency multiply: 1, and the four cycles.
+    weight : (..., 1, n) weights of the pixels; 0 where a pixel holds no light.
+    """
+
+    xp: ModuleType
+    pixels: _Rays
+    phases: Any
+    basis: Any
+    weight: Any
+
+    @classmethod
+    def of(cls, xp: ModuleType, phasor: Any, wall: ExpectedWall, wiggling: bool) -> _Problem:
+        known = weighted_reference(wall.direct, xp.abs(phasor[..., 0]))
+        ratio = phasor * xp.conj(quotient(xp, known, xp.abs(known)))  # (..., H, W, F)
+        ratio, measured = (_by_frequency(xp, each) for each in (ratio, phasor))
+        phases = _phases(xp, ratio)
+        waves = _waves(xp, measured) if wiggling else []
+        pixels = _Rays.of(xp, phasor, wall)
+        lit = xp.all(ratio != 0, axis=-2, keepdims=True) & pixels.meets[..., None, :]  # (..., 1, n)
+        strength = xp.reshape(xp.astype(wall.fit_strength, xp.float64), pixels.meets.shape)[..., None, :]
+        strongest = xp.max(strength, axis=-1, keepdims=True)
+        return cls(
+            xp,
+            pixels,
+            phases,
+            xp.stack([xp.ones_like(phases), *waves], axis=-2),
+            (strength / xp.clip(strongest, min=_DARKEST)) ** 2 * xp.astype(lit, xp.float64),
+        )
 
     def first_guess(self, plane: Any) -> Any:
         """(..., F, Q) offsets that turn the mean phasor to 0; the other unknowns are 0."""
         xp = self.xp
         none = xp.zeros_like(self.basis[..., 0])  # (..., F, Q)
-        left = self.phases - self.turn(plane, none[..., 0])[0]
+        left = self.phases - self.pixels.turn(plane, none[..., 0])[0]
         along, across = (xp.sum(self.weight * part(left), axis=-1) for part in (xp.cos, xp.sin))
         return xp.concat([xp.atan2(across, along)[..., None], none[..., 1:]], axis=-1)
 
     def step(self, plane: Any, local: Any, width_rad: float) -> tuple[Any, Any]:
         """Plane and local unknowns after one step of least squares."""
-        xp, k = self.xp, self.slope
+        xp, k = self.xp, self.pixels.slope
         basis = self.basis
-        turn, depth_m = self.turn(plane, local[..., 0])
-        left = self.phases - turn - self.wiggle(local)
+        turn, depth_m = self.pixels.turn(plane, local[..., 0])
+        left = self.phases - turn - xp.sum(basis[..., 1:, :] * local[..., 1:, None], axis=-2)
         left = left - 2 * math.pi * xp.round(left / (2 * math.pi))
         farthest = xp.max(xp.abs(left), axis=-2, keepdims=True)  # (..., 1, n)
-        weight = self.weight * strength_elsewhere(self.expected_depth_m, depth_m)[..., None, :] ** 2
+        weight = self.weight * strength_elsewhere(self.pixels.expected_depth_m, depth_m)[..., None, :] ** 2
         weight = weight * (1 - xp.clip((farthest / width_rad) ** 2, max=1.0)) ** 2
         weight = xp.broadcast_to(weight, left.shape)  # (..., F, n)
-        tangent = -(depth_m**2)[..., None, :] * xp.matrix_transpose(self.rays)  # (..., 3, n) dL / dm
+        tangent = -(depth_m**2)[..., None, :] * xp.matrix_transpose(self.pixels.rays)  # (..., 3, n) dL / dm
         seen = basis * weight[..., None, :]  # (..., F, Q, n)
         rows = (*local.shape[:-2], local.shape[-2] * local.shape[-1], left.shape[-1])
         seen_rows, columns = xp.reshape(seen, rows), xp.matrix_transpose(xp.reshape(basis, rows))
@@ -218,6 +263,22 @@ class _Problem:
         xp = self.xp
         place = xp.arange(frequencies * count, device=device(self.phases)) // count
         return xp.astype(place[:, None] == place, xp.float64)
+
+
+def _by_frequency(xp: ModuleType, values: Any) -> Any:
+    """(..., F, n) of (..., H, W, F)."""
+    return xp.moveaxis(xp.reshape(values, (*values.shape[:-3], -1, values.shape[-1])), -1, -2)
+
+
+def _phases(xp: ModuleType, z: Any) -> Any:
+    """Phases of complex numbers, radians, float64."""
+    return xp.astype(xp.atan2(xp.imag(z), xp.real(z)), xp.float64)
+
+
+def _waves(xp: ModuleType, measured: Any) -> list[Any]:
+    """Four cycles of the phases of measured phasors (..., F, n), their cosine and sine."""
+    cycles = _phases(xp, measured)
+    return [xp.cos(4 * cycles), xp.sin(4 * cycles)]
 
 
 def _solved(xp: ModuleType, normal: Any, right: Any) -> Any:

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import calibrate
+from itof.wall.self_calibration import FittedWall, fit_wall
 from model.settings import Channels, Reference
 from scenegen import NightError
 from scenegen.contract import STRICT, Positive
@@ -150,29 +150,38 @@ class InputSpec:
             raise ChannelError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
-    def reference_for(self, phasor: Any, wall: ExpectedWall) -> Any:
+    def fit_of(self, phasor: Any, wall: ExpectedWall) -> FittedWall:
+        """The wall and phases that these phasors (..., H, W, F) show; only where `self_calibrates`."""
+        return fit_wall(phasor, wall, wiggling=self.reference == "self+wiggling")
+
+    def reference_for(self, phasor: Any, wall: ExpectedWall, fit: FittedWall | None = None) -> Any:
         """The reference that `apply` needs for these phasors (..., H, W, F).
 
         The direct return of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall
         and phases that each image shows (`itof.wall.self_calibration`), (..., H, W, F). With the channel of
         the wall its inverse distance, 1/m, follows, (..., H, W, F + 1).
+
+        Parameters
+        ----------
+        fit : `fit_of` these phasors, if it is known.
         """
         if not self.self_calibrates:
             return wall.direct
-        fit = calibrate(phasor, wall, wiggling=self.reference == "self+wiggling")
+        fit = self.fit_of(phasor, wall) if fit is None else fit
+        direct = fit.moved(phasor, wall)
         if not self.shows_wall:
-            return fit.direct
-        xp = array_namespace(fit.direct)
+            return direct
+        xp = array_namespace(direct)
         inverse = xp.sum(wall.rays * fit.plane_per_m[..., None, None, :], axis=-1)  # (..., H, W)
-        return xp.concat([fit.direct, xp.astype(inverse, fit.direct.dtype)[..., None]], axis=-1)
+        return xp.concat([direct, xp.astype(inverse, direct.dtype)[..., None]], axis=-1)
 
-    def reference_of_image(self, phasor: Any, wall: ExpectedWall) -> Any:
+    def reference_of_image(self, phasor: Any, wall: ExpectedWall, fit: FittedWall | None = None) -> Any:
         """`reference_for` these phasors (..., H, W, F), with the weights that their amplitudes give it.
 
         (..., H, W, F or F + 1) complex, for `apply` with ``is_weighted``. Noise of relative size σ in the
         amplitudes changes its phase by less than σ / 40 (`itof.weighted_reference`).
         """
-        known = self.reference_for(phasor, wall)
+        known = self.reference_for(phasor, wall, fit)
         if self.subpixel_weights == "uniform":
             return known
         xp, (direct, rest) = array_namespace(phasor), self.parted(known)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,10 @@ from model.data.augmentation import Augmentation
 from model.data.batches import BatchMaker
 from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed, window_rows
+from model.data.rows import RowBlock
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
+from model.data.wall_fits import WallFits
 from model.run_folder.history import HISTORY_FILE, EpochRecord, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
@@ -101,8 +104,13 @@ class TrainingState:
             added_bytes=self.maker.reference_bytes,
         )
         # The window decides the order of the rows, which must be the same in all processes.
+        return Feed(self.shards, rows, self.processes.smallest(window), self._preparation(split))
+
+    def _preparation(self, split: Split) -> Callable[[RowBlock], RowBlock]:
+        """What is done with the rows of a split when they are read."""
         prepare = self.maker.upload_to_augment if split == "train" else self.maker.upload
-        return Feed(self.shards, rows, self.processes.smallest(window), prepare)
+        inputs = self.config.inputs
+        return functools.partial(prepare, fits=WallFits(inputs) if inputs.self_calibrates else None)
 
     @property
     def best(self) -> EpochRecord:
@@ -219,7 +227,7 @@ class TrainingState:
                 window_rows,
                 feed.window_rows,
             )
-        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self.maker.upload_to_augment)
+        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self._preparation("train"))
 
 
 def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:
