@@ -77,8 +77,9 @@ def in_pieces(tmp_path, monkeypatch):
     return write_synthetic_dataset(tmp_path / "data", count=12)
 
 
+@pytest.mark.parametrize("ahead", [False, True])
 @pytest.mark.parametrize("window_rows", [1000, 4, 2])  # all in memory; streamed
-def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(in_pieces, window_rows):
+def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(in_pieces, window_rows, ahead):
     shards = open_shards(in_pieces)
     distinct = list(shards.rows("train"))
     rows, read = [*distinct, *distinct[:3], distinct[0]], []
@@ -87,7 +88,7 @@ def test_a_feed_delivers_a_row_as_often_as_it_is_asked_for_and_holds_it_once(in_
         read.append(block.rows)
         return block
 
-    feed = Feed(shards, rows, window_rows, prepare)
+    feed = Feed(shards, rows, window_rows, prepare, prepares_ahead=ahead)
     windows = feed.shuffled_windows(generator())
     assert (len(windows) > 1) == (window_rows < 1000)
     for window in windows:

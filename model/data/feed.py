@@ -26,6 +26,9 @@ class Feed:
     reads the next window while the current one is used. It reads each piece of the shards once per epoch and
     as a whole. A batch may contain rows of two windows.
 
+    For a GPU, the thread also prepares the next window. On the CPU, this would be slower than to prepare it
+    when its turn comes: the arithmetic of both threads would wait for the same cores.
+
     Attributes
     ----------
     rows : rows of the shards, one for each sample of an epoch; a row that comes more than once is held once.
@@ -34,6 +37,7 @@ class Feed:
     Parameters
     ----------
     prepare : applied to every block after it is read, for example to copy it to a GPU.
+    prepares_ahead : whether the thread that reads the next window also prepares it.
     """
 
     def __init__(
@@ -42,11 +46,13 @@ class Feed:
         rows: Sequence[int],
         window_rows: int,
         prepare: Callable[[RowBlock], RowBlock] = _as_read,
+        *,
+        prepares_ahead: bool = False,
     ) -> None:
         self.rows, self.window_rows = list(rows), window_rows
         self.distinct_rows = sorted(set(self.rows))
         self._shards, self._per_piece = shards, shards.manifest.scenes_per_piece
-        self._prepare = prepare
+        self._prepare, self._prepares_ahead = prepare, prepares_ahead
         self._held: RowBlock | None = None
 
     @property
@@ -80,11 +86,12 @@ class Feed:
     def _blocks(self, windows: Sequence[list[int]]) -> Iterator[tuple[list[int], RowBlock]]:
         """The rows of each window in order, and a block that holds them."""
         self.hold()
-        if self._held is None:
-            yield from _read_ahead(lambda rows: self._prepare(self._shards.read(sorted(set(rows)))), windows)
+        if self._held is not None:
+            held = self._held
+            yield from ((window, held) for window in windows)
             return
-        held = self._held
-        yield from ((window, held) for window in windows)
+        ahead, later = (self._prepare, _as_read) if self._prepares_ahead else (_as_read, self._prepare)
+        yield from _read_ahead(lambda rows: ahead(self._shards.read(sorted(set(rows)))), later, windows)
 
 
 def window_rows(
@@ -126,9 +133,11 @@ def memory_of(device: torch.device, sharers: int = 1) -> int:
 
 
 def _read_ahead(
-    read: Callable[[list[int]], RowBlock], windows: Sequence[list[int]]
+    read: Callable[[list[int]], RowBlock],
+    prepare: Callable[[RowBlock], RowBlock],
+    windows: Sequence[list[int]],
 ) -> Iterator[tuple[list[int], RowBlock]]:
-    """Each window and its block; a thread reads the next block while one is used."""
+    """Each window and its prepared block; a thread reads the next block while one is prepared and used."""
     if not windows:
         return
     with ThreadPoolExecutor(1, "shards") as pool:
@@ -137,6 +146,7 @@ def _read_ahead(
             block = ahead.result()
             if index + 1 < len(windows):
                 ahead = pool.submit(read, windows[index + 1])
+            block = prepare(block)
             yield window, block
             del block  # otherwise three windows would be in memory
 

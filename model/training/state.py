@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from model.data.augmentation import Augmentation
 from model.data.batches import BatchMaker
 from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed, window_rows
-from model.data.rows import RowBlock
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.data.wall_fits import WallFits
@@ -104,13 +103,19 @@ class TrainingState:
             added_bytes=self.maker.reference_bytes,
         )
         # The window decides the order of the rows, which must be the same in all processes.
-        return Feed(self.shards, rows, self.processes.smallest(window), self._preparation(split))
+        return self._feed_of(split, rows, self.processes.smallest(window))
 
-    def _preparation(self, split: Split) -> Callable[[RowBlock], RowBlock]:
-        """What is done with the rows of a split when they are read."""
+    def _feed_of(self, split: Split, rows: Sequence[int], window_rows: int) -> Feed:
+        """Feed of these rows of a split, in windows of at least so many of them."""
         prepare = self.maker.upload_to_augment if split == "train" else self.maker.upload
         inputs = self.config.inputs
-        return functools.partial(prepare, fits=WallFits(inputs) if inputs.self_calibrates else None)
+        return Feed(
+            self.shards,
+            rows,
+            window_rows,
+            functools.partial(prepare, fits=WallFits(inputs) if inputs.self_calibrates else None),
+            prepares_ahead=self.processes.device.type != "cpu",
+        )
 
     @property
     def best(self) -> EpochRecord:
@@ -227,7 +232,7 @@ class TrainingState:
                 window_rows,
                 feed.window_rows,
             )
-        self.feeds["train"] = Feed(self.shards, feed.rows, window_rows, self._preparation("train"))
+        self.feeds["train"] = self._feed_of("train", feed.rows, window_rows)
 
 
 def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:
