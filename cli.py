@@ -16,7 +16,7 @@ import click
 from commandline.captures import capture
 from commandline.confirmation import YES, confirm_deletion
 from commandline.dataset_export import export_dataset
-from commandline.endings import DefaultGroup, NightGroup
+from commandline.endings import DefaultGroup, NightGroup, noted_interrupt
 from commandline.evaluation import judge, refine
 from commandline.options import (
     DEVICE,
@@ -112,8 +112,14 @@ def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | Non
     ids = chosen_scenes(opened, only) if only else contact_sheet.choose_scenes(opened, count)
     preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
     maker = blender_maker(preview_files.meshes_in(opened))
-    with showing_progress(len(opened.ids()) + len(ids), "scene", "preview") as bar:
-        written = preview_files.write_preview(opened, ids, maker.picture, licence, bar.update)
+    count = len(opened.ids()) + len(ids)
+    with noted_interrupt() as raise_noted, showing_progress(count, "scene", "preview") as bar:
+
+        def scene_done() -> None:
+            bar.update()
+            raise_noted()  # Blender loses an exception that comes while it renders
+
+        written = preview_files.write_preview(opened, ids, maker.picture, licence, scene_done)
     for file in written:
         click.echo(f"{file}")
     if dataset / "README.md" not in written:
@@ -301,8 +307,8 @@ def predict(
 def export(run: Path, out: Path, as_json: bool) -> None:
     """Write the network of RUN as an ONNX file, checked against PyTorch.
 
-    Input `channels` (N, C, H, W), output `components` (N, 2, H, W), or `radial_depth_m` (N, 1, H, W) of a
-    network that predicts depth; the run's settings are in the metadata.
+    Input `channels` (N, C, H, W). The output's name says what the network predicts (docs/own_data.md); the
+    run's settings are in the metadata.
     """
     import model
 
@@ -317,7 +323,7 @@ def export(run: Path, out: Path, as_json: bool) -> None:
 def compact_run(run: Path, out: Path, as_json: bool) -> None:
     """Write RUN with weights of 16 bits and without its checkpoint, to be published or kept.
 
-    Predictions, evaluations and `night-train --from` take it as any run; `--resume` would begin again.
+    Predictions, evaluations and `night-train --from` take it as any run; it cannot be resumed.
     """
     import model
 

@@ -5,6 +5,7 @@ name that comes first on Python's module search path, for example through PYTHON
 their place. Each program therefore first looks where all of them would come from, without running them.
 """
 
+import signal
 import sys
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -36,6 +37,9 @@ def foreign_module() -> str | None:
 
 def _run(program: str) -> None:
     """Run a click command of `cli`."""
+    interrupt = signal.getsignal(signal.SIGINT)
+    if interrupt is signal.default_int_handler:  # not ignored, as in the background of a script
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is a command that can say something
     sentence = foreign_module()
     if sentence is not None:
         if sys.stderr is not None:  # it was not closed, as by 2>&-
@@ -46,6 +50,8 @@ def _run(program: str) -> None:
     prepare_process()
     import cli
 
+    if interrupt is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
     getattr(cli, program)()
 
 

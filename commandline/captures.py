@@ -9,7 +9,7 @@ from typing import Any, Literal
 import click
 
 from commandline.endings import NightGroup, Refusal
-from commandline.options import FOLDER, Size, options
+from commandline.options import FOLDER, Number, Size, options
 from commandline.results import JSON, tell
 from scenegen import load_preset
 
@@ -28,7 +28,7 @@ FRAMES = options(
     click.option(
         "--fov",
         "horizontal_fov_deg",
-        type=click.FloatRange(1, 170),
+        type=Number(1, 170),
         help="Horizontal field of view of the image, degrees; less than the sensor's needs --size.",
     ),
 )

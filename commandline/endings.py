@@ -8,12 +8,13 @@ nobody reads any more, as in ``| head``, ends silently with 1.
 
 from __future__ import annotations
 
+import difflib
 import logging
 import os
 import signal
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any
@@ -27,6 +28,7 @@ from scenegen import NightError
 
 _DEFECT = 70  # EX_SOFTWARE of sysexits.h
 _REPORT_IT = "This is a defect of NIGHT {}: please report it with the text above (see CONTRIBUTING.md)."
+_NEARLY = 0.75  # of the letters of a misspelt command
 _OUTPUTS = ("out", "dataset")  # parameters that name where a command writes, the first that it has
 
 
@@ -58,6 +60,24 @@ def _ending(command: str, place: str = "") -> Iterator[None]:
     except Exception:  # of any kind: whatever input cannot cause is a defect
         say(traceback.format_exc() + _REPORT_IT.format(version("night-nlos")))
         sys.exit(_DEFECT)
+
+
+@contextmanager
+def noted_interrupt() -> Iterator[Callable[[], None]]:
+    """Ctrl-C in the block is noted; the function that is yielded raises `KeyboardInterrupt` then."""
+    noted: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # not ignored, as in the background of a script
+        signal.signal(signal.SIGINT, lambda number, _: noted.append(number))
+
+    def raise_noted() -> None:
+        if noted:
+            raise KeyboardInterrupt
+
+    try:
+        yield raise_noted
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class NightCommand(click.Command):
@@ -106,8 +126,15 @@ class DefaultGroup(NightGroup):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put the default command's name before what cannot be meant for the group."""
         if args and args[0] not in self.commands and args[0] not in ("--help", "--version"):
+            self._refuse_misspelt(args[0], ctx)
             args = [self.default, *args]
         return super().parse_args(ctx, args)
+
+    def _refuse_misspelt(self, word: str, ctx: click.Context) -> None:
+        """Refuse a word that is nearly one of the commands, and names no file or folder."""
+        near = difflib.get_close_matches(word, self.commands, n=1, cutoff=_NEARLY)
+        if near and not os.path.lexists(word):
+            ctx.fail(f"No such command or folder {word!r}. Did you mean {near[0]!r}?")
 
     def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
         """The usage line of the default command; the others are listed below it."""

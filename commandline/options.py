@@ -32,11 +32,24 @@ class Place(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The path; whether there is anything is for the command to say."""
+        if not os.fspath(value):  # a variable of the shell that is not set
+            self.fail("the name is empty; write . for the current folder", param, ctx)
         try:
             os.fspath(value).encode()
         except UnicodeEncodeError:
             self.fail(f"the name {value!r} is not UTF-8", param, ctx)
         return Path(value)
+
+
+class Number(click.FloatRange):
+    """A number in a range; NaN, which is neither below nor above anything, is in none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number."""
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return number
 
 
 FOLDER = Place()
@@ -124,7 +137,7 @@ def _option_type(field: FieldInfo) -> click.ParamType:
         return Megahertz()
     names = ("ge", "gt", "le", "lt")
     bounds = {name: getattr(item, name) for item in metadata for name in names if hasattr(item, name)}
-    kind = click.IntRange if number is int else click.FloatRange
+    kind = click.IntRange if number is int else Number
     return kind(
         min=bounds.get("ge", bounds.get("gt")),
         max=bounds.get("le", bounds.get("lt")),
@@ -165,7 +178,7 @@ def overridden_preset(
         data: dict[str, Any] = asdict(open_dataset(out).preset)
         origin = str(out / "dataset.json")
     else:
-        data, origin = read_settings("presets", preset or "paper")
+        data, origin = read_settings("presets", "paper" if preset is None else preset)
     changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
     table = data.setdefault("dataset", {})
     if changes and isinstance(table, dict):
@@ -225,7 +238,7 @@ RENDER_RUN = options(
 )
 MASK_THRESHOLD = click.option(
     "--mask-threshold",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(min=0, min_open=True),
     help="Amplitude from which on a pixel shows the object, instead of the run's.",
 )
 MASK_FROM = click.option(
@@ -236,7 +249,7 @@ MASK_FROM = click.option(
 FOV = click.option(
     "--fov",
     "horizontal_fov_deg",
-    type=click.FloatRange(1, 170),
+    type=Number(1, 170),
     help="Horizontal field of view of the camera, degrees. By default that of an imported capture, else that "
     "of the training.",
 )

@@ -50,6 +50,14 @@ def test_a_training_starts_from_a_compact_run(compacted, closed_form_scenes, tmp
     assert load(tmp_path / "next").config.started_from is not None
 
 
+def test_a_compact_run_cannot_be_resumed_and_stays_as_it_is(compacted, closed_form_scenes):
+    before = {file.name: file.read_bytes() for file in compacted.iterdir()}
+    message = refusal("night-train", closed_form_scenes.root, "--out", compacted, "--resume")
+    assert "has weights but no checkpoint" in message
+    assert f"--from {compacted} and another --out" in message
+    assert {file.name: file.read_bytes() for file in compacted.iterdir()} == before
+
+
 def test_runs_that_cannot_be_compacted_are_refused(finished_copy, compacted, tmp_path):
     assert "exists already" in refusal("night-eval", "compact", finished_copy, "--out", compacted)
     edit_weights(finished_copy, lambda name, weight: weight * 1e6)

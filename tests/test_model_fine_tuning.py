@@ -135,7 +135,8 @@ def test_a_resumed_run_needs_its_start_no_more_and_ends_as_if_uninterrupted(seei
 
 def test_a_start_whose_weights_are_lost_cannot_be_resumed(seeing_run, wider, tmp_path):
     train(wider, tmp_path / "run", fine(), start_from=seeing_run)
-    (tmp_path / "run" / "checkpoint.pt").unlink()
+    for name in ("checkpoint.pt", "best.safetensors"):
+        (tmp_path / "run" / name).unlink()
     with pytest.raises(RunError, match=r"checkpoint.pt is missing, which held the weights of .* --from"):
         train(wider, tmp_path / "run", fine(max_epochs=2), resume=True)
 

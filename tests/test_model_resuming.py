@@ -102,7 +102,7 @@ def test_an_interrupted_epoch_is_begun_again(closed_form_scenes, whole, tmp_path
     every_batch = settings(checkpoint_minutes=0.0)
 
     def kill(_: object) -> None:
-        if (run / "checkpoint.pt").exists() and not killed:
+        if checkpoint(run)["position"]["batches"] and not killed:
             killed.append(True)
             raise KeyboardInterrupt
 
@@ -147,7 +147,7 @@ def test_a_training_that_is_asked_to_stop_while_it_validates_goes_on_there(
     run, asked = tmp_path / "run", []
 
     def ask(network) -> None:
-        if not network.training and (run / "history.csv").exists() and not asked:
+        if not network.training and (run / "best.safetensors").exists() and not asked:
             asked.append(True)
             os.kill(os.getpid(), signal.SIGINT)
 

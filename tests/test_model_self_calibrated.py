@@ -93,13 +93,13 @@ def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch)
 def test_a_row_that_is_uploaded_again_has_the_same_reference_without_another_fit(
     self_run, shards, monkeypatch, reference, channels
 ):
-    predictor, fitted, fit = load(self_run, "cpu"), [], channels_module.fit_wall
+    predictor, fitted, fit = load(self_run, "cpu"), [], channels_module.fitted_wall
 
     def counted_fit(phasor, *arguments, **options):
         fitted.append(len(phasor))
         return fit(phasor, *arguments, **options)
 
-    monkeypatch.setattr(channels_module, "fit_wall", counted_fit)
+    monkeypatch.setattr(channels_module, "fitted_wall", counted_fit)
     scale = (1, 1) if channels == "residual+wall" else None
     inputs = replace(predictor.config.inputs, reference=reference, channels=channels, wall_scale_per_m=scale)
     maker = BatchMaker.for_shards(inputs, shards.manifest.frequencies_hz, predictor.wall, torch.device("cpu"))

@@ -1,5 +1,9 @@
 """`night-gen preview` from the command line."""
 
+import os
+import signal
+from contextlib import suppress
+
 import numpy as np
 import pytest
 import trimesh
@@ -13,6 +17,7 @@ from itof import write_image
 from render.products.preview import meshes_in
 from render.settings import RenderError
 from scenegen import open_dataset
+from scenegen.making.blender import BlenderMaker
 from scenegen.making.meshes import read_meshes
 
 
@@ -51,6 +56,20 @@ def test_the_command_leaves_scenes_renders_and_night_gen_alone(corners):
     after = contents(corners.root)
     added = {"README.md", "preview/contact_sheet.png", "preview/distributions.png"}
     assert {name: data for name, data in after.items() if name not in added} == before
+
+
+def test_ctrl_c_while_blender_renders_ends_the_command(corners, monkeypatch):
+    def picture(_, __, width, height):
+        with suppress(KeyboardInterrupt):  # as Cycles does, which calls Python while it renders
+            os.kill(os.getpid(), signal.SIGINT)
+        return np.zeros((height, width, 3), np.uint8)
+
+    monkeypatch.setattr(BlenderMaker, "picture", picture)
+    done = night_here("night-gen", "preview", corners.root, "--count", 2)
+    assert done.returncode == 128 + signal.SIGINT
+    assert done.stderr.endswith("interrupted\n")
+    assert not (corners.root / "preview").exists()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_cannot_be_previewed_is_refused(corners, tmp_path):

@@ -1,6 +1,7 @@
 """How a program starts: with modules of its own, open streams, a place for caches, and few open files."""
 
 import os
+import signal
 import stat
 import subprocess
 import sys
@@ -211,3 +212,12 @@ def test_every_command_refuses_a_folder_that_is_read_only_in_one_sentence(pipeli
             assert done.returncode == 0 or done.stderr.splitlines()[-1].startswith("Error: ")
     finally:
         shell('chmod -R u+w "$@"', pipeline_copy)
+
+
+def test_ctrl_c_before_there_is_a_command_ends_the_process_without_a_word():
+    while_it_looks = "night_nlos.foreign_module = lambda: os.kill(os.getpid(), signal.SIGINT)"
+    then = "import cli; cli.night_gen = lambda: print(signal.getsignal(signal.SIGINT).__name__)"
+    for change, code, printed in ((while_it_looks, -signal.SIGINT, ""), (then, 0, "default_int_handler\n")):
+        program = f"import night_nlos, os, signal; {change}; night_nlos.night_gen()"
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (code, printed, "")

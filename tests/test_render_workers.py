@@ -69,6 +69,13 @@ def test_a_scheduler_that_is_not_there_is_named(unrendered, monkeypatch):
     assert "Error: no Dask scheduler answers at tcp://127.0.0.1:9" in done.stderr
 
 
+def test_wrong_workers_leave_no_settings_for_the_next_run(unrendered):
+    for wrong in (["--scheduler", "nonsense"], ["--cluster", "nowhere.toml"]):
+        done = night_here("night-render", unrendered, "--resolution", "20x15", *wrong)
+        assert done.returncode == 2
+    assert not (unrendered / "renders").exists()
+
+
 # Workers that die
 
 

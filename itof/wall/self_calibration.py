@@ -90,8 +90,8 @@ class Calibration(FittedWall):
 def calibrate(
     phasor: Any, wall: ExpectedWall, *, wiggling: bool = False, start_per_m: Any = None
 ) -> Calibration:
-    """Fit the wall to each image (`fit_wall`, with its parameters), and move the expected wall there."""
-    fit = fit_wall(phasor, wall, wiggling=wiggling, start_per_m=start_per_m)
+    """Fit the wall to each image (`fitted_wall`, with its parameters), and move the expected wall there."""
+    fit = fitted_wall(phasor, wall, wiggling=wiggling, start_per_m=start_per_m)
     waves = fit.wiggling_rad
     if waves is None:
         xp, shape = array_namespace(phasor), (*fit.offsets_rad.shape, 2)
@@ -99,7 +99,7 @@ def calibrate(
     return Calibration(fit.plane_per_m, fit.offsets_rad, waves, fit.moved(phasor, wall))
 
 
-def fit_wall(
+def fitted_wall(
     phasor: Any, wall: ExpectedWall, *, wiggling: bool = False, start_per_m: Any = None
 ) -> FittedWall:
     """Fit plane, phase offsets and, with `wiggling`, the four-cycle error to each image.

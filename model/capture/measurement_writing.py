@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,8 +19,9 @@ def write_measurement(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays by name, as ``.npz`` or HDF5 by the ending of the path; complete or not at all."""
     with whole_file(path) as partial:
         if path.suffix.lower() == ".npz":
-            with partial.open("wb") as stream:
-                np.savez(stream, **dict(arrays))
+            stream = BytesIO()  # which has room; on a full disk, zipfile prints more than one sentence
+            np.savez(stream, **dict(arrays))
+            partial.write_bytes(stream.getbuffer())
             return
         import h5py  # which takes a tenth of a second to load
 

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import FittedWall, fit_wall
+from itof.wall.self_calibration import FittedWall, fitted_wall
 from model.settings import Channels, Reference
 from scenegen import NightError
 from scenegen.contract import STRICT, Positive
@@ -152,7 +152,7 @@ class InputSpec:
 
     def fit_of(self, phasor: Any, wall: ExpectedWall) -> FittedWall:
         """The wall and phases that these phasors (..., H, W, F) show; only where `self_calibrates`."""
-        return fit_wall(phasor, wall, wiggling=self.reference == "self+wiggling")
+        return fitted_wall(phasor, wall, wiggling=self.reference == "self+wiggling")
 
     def reference_for(self, phasor: Any, wall: ExpectedWall, fit: FittedWall | None = None) -> Any:
         """The reference that `apply` needs for these phasors (..., H, W, F).

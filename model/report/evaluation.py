@@ -15,11 +15,11 @@ from model.report.judging import Bench, judge_split, shown_scenes
 from model.report.page import write_page
 from model.report.refusals import (
     EvaluationError,
-    refuse_amplitude_of_depth,
     refuse_many_corners,
     refuse_missing_split,
     refuse_other_contents,
     refuse_other_images,
+    refuse_other_masks,
     refuse_scenes_not_shown,
     refuse_scenes_without_render,
 )
@@ -80,7 +80,7 @@ def evaluate(
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):
         raise EvaluationError(f"a mask threshold is an amplitude above 0, got {mask_threshold:g}")
     predictor = load(run, device)
-    refuse_amplitude_of_depth(predictor.config, mask_from, mask_threshold)
+    refuse_other_masks(predictor.config, mask_from, mask_threshold)
     if mask_threshold is not None and (mask_from or predictor.config.readout.mask_from) == "depth":
         raise EvaluationError(
             "the masks are those of the depth, for which a threshold of the amplitude means nothing: leave "

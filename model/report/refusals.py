@@ -25,13 +25,24 @@ def refuse_other_contents(out: Path) -> None:
     refuse_other_files(out, files_of_report, "report", EvaluationError)
 
 
-def refuse_amplitude_of_depth(
+def refuse_other_masks(
     trained: RunConfig, mask_from: MaskSource | None, mask_threshold: float | None
 ) -> None:
-    """Refuse masks of the amplitude from a network that predicts depth, which has none."""
+    """Refuse masks that the outputs of a network do not give."""
     if trained.settings.target == "depth" and (mask_from == "amplitude" or mask_threshold is not None):
         raise EvaluationError(
             "the network predicts depth and no amplitude: leave --mask-from and --mask-threshold out"
+        )
+    if not trained.settings.predicts_probability:
+        return
+    if mask_from == "depth":
+        raise EvaluationError(
+            "the network predicts the mask itself, and a depth for every pixel: leave --mask-from out"
+        )
+    if mask_threshold is not None and mask_threshold >= 1:
+        raise EvaluationError(
+            "the network predicts the probability of the mask, and no probability is above "
+            f"{mask_threshold:g}: give a --mask-threshold below 1"
         )
 
 

@@ -14,8 +14,9 @@ from model.device import plain_memory_errors
 from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
 from model.run_folder.shipped import run_folder
-from model.run_folder.weights import load_weights
+from model.run_folder.weights import WEIGHTS_FILE, load_weights
 from model.settings import NETWORK_SETTINGS, TrainSettings
+from model.training.checkpoint import CHECKPOINT_FILE
 from scenegen import Dataset
 
 
@@ -103,10 +104,15 @@ def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path)
             )
 
 
-def refuse_lost_start(config: RunConfig, checkpoint: Path) -> None:
-    """`RunError` for a resumed run without checkpoint whose first weights were those of another run."""
+def refuse_lost_checkpoint(config: RunConfig, out: Path) -> None:
+    """`RunError` for a resumed run without checkpoint, if it has weights or began with those of another."""
+    if (out / WEIGHTS_FILE).is_file():
+        raise RunError(
+            f"{out} has weights but no checkpoint ({CHECKPOINT_FILE}), so it cannot be resumed: train on "
+            f"from its weights with --from {out} and another --out"
+        )
     if config.started_from:
         raise RunError(
-            f"{checkpoint} is missing, which held the weights of {config.started_from.run} that this run "
-            "started from: begin a new run with --from"
+            f"{out / CHECKPOINT_FILE} is missing, which held the weights of {config.started_from.run} that "
+            "this run started from: begin a new run with --from"
         )

@@ -34,7 +34,7 @@ from model.settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from model.training.corner_images import corner_images
 from model.training.epoch import save_if_due, train_epoch, validate
-from model.training.fine_tuning import Start, read_start, refuse_lost_start
+from model.training.fine_tuning import Start, read_start, refuse_lost_checkpoint
 from model.training.interruption import Interruption
 from model.training.lock import only_training
 from model.training.log import TrainingLog
@@ -56,6 +56,7 @@ from scenegen.progress import showing_progress
 
 _log = logging.getLogger(__name__)
 _AGAIN: Final = "start again"
+_RESUME: Final = "go on with night-train --resume"
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ def _train(
         if checkpoint:
             state.restore(checkpoint, out / CHECKPOINT_FILE)
         elif before:
-            refuse_lost_start(before, out / CHECKPOINT_FILE)
+            refuse_lost_checkpoint(before, out)
         if checkpoint and before and before.schema_version < RUN_SCHEMA:
             state.save(out)  # before run.json: beside one of schema 2, files of both versions are accepted
         begun = [out / name for name in (CHECKPOINT_FILE, HISTORY_FILE)] if start else []
@@ -173,6 +174,8 @@ def _train(
                     state.save_results(out)
                 with naming_disk(out / CONFIG_FILE, _AGAIN):
                     write_config(out, config)
+        if not before and not start:
+            state.save(out, _RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
         return _run(state, out)
 
 

@@ -75,7 +75,8 @@ def render_dataset(
     QueueError : no further scene can be rendered. The scenes rendered so far stay.
     """
     refuse_measured(dataset)
-    _refuse_device(settings, options)  # before any file is written
+    _refuse_device(settings, options)  # before any file is written, as the next check
+    check_cluster(options.scheduler, options.cluster_file)
     renders = dataset.renders
     with (
         joined_run(renders, json.dumps(settings.common_recipe(dataset))),
