@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from errno import EACCES, EDQUOT, EFBIG, EIO, EMFILE, ENFILE, ENOMEM, ENOSPC, EPERM, EROFS
+from errno import EACCES, EDQUOT, EEXIST, EFBIG, EIO, EMFILE, ENFILE, ENOMEM, ENOSPC, ENOTDIR, EPERM, EROFS
 from resource import RLIMIT_NOFILE, getrlimit
 
 _PERMISSION = "{place}: Permission denied: change its permissions (chmod), or give another place"
@@ -16,6 +16,9 @@ _SYSTEM = {
     EROFS: "{place}: Read-only file system: make it writable, or give another place",
     EACCES: _PERMISSION,
     EPERM: _PERMISSION,
+    ENOTDIR: "{place}: Not a directory: a part of this path is a file; give another place",
+    EEXIST: "{place}: File exists: there is another kind of file of this name; move it away, or give another "
+    "place",
     EMFILE: "{place}: Too many open files: raise the limit of {open_files} (ulimit -n) and start again",
     ENFILE: "{place}: Too many open files on this machine: close other programs and start again",
 }

@@ -215,6 +215,8 @@ def open_dataset(root: PathLike) -> Dataset:
     """
     root = Path(root)
     file = root / "dataset.json"
+    if root.exists() and not root.is_dir():
+        raise DatasetError(f"{root} is a file: give the folder of a dataset")
     if not root.is_dir():
         raise DatasetError(f"there is no folder {root}: make a dataset with night-gen scenes {root}")
     if file.exists() and not file.is_file():
@@ -226,7 +228,9 @@ def open_dataset(root: PathLike) -> Dataset:
         raise DatasetError(
             f"{root} is not a NIGHT dataset (it has no dataset.json): make one with night-gen scenes"
         ) from None
-    except (OSError, ValueError, RecursionError) as error:  # also numbers too long, and lists too deep
+    except OSError as error:
+        raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:  # also numbers too long, and lists too deep
         raise DatasetError(f"{file} cannot be read as JSON: {error}") from None
     schema = data.get("schema_version") if isinstance(data, dict) else None
     if schema not in DATASET_SCHEMAS:

@@ -37,6 +37,12 @@ TABLE = [
     ("night-gen preview {data} --count 0", "0 is not in the range 1<=x<=100"),
     # night-render
     ("night-render {folder}", "{folder} is not a NIGHT dataset"),
+    ("night-render {file}", "{file} is a file: give the folder of a dataset"),
+    ("night-eval {file} {data} --out {out}", "{file} is a file: give the folder of a run"),
+    (
+        "night-gen scenes {file}/scenes --preset demo --count 1",
+        "Not a directory: a part of this path is a file",
+    ),
     ("night-render {out}", "there is no folder {out}"),
     ("night-render {data} more", "Got unexpected extra argument (more)"),
     ("night-render stauts {data}", "No such command or folder 'stauts'. Did you mean 'status'?"),

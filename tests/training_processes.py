@@ -34,5 +34,5 @@ def errors_of(out):
 
 
 def wait_for_the_first_epoch(run, *processes) -> None:
-    while not (run / "history.csv").exists() and all(process.poll() is None for process in processes):
+    while not (run / "best.safetensors").exists() and all(process.poll() is None for process in processes):
         time.sleep(0.01)

@@ -211,6 +211,8 @@ def read_config(folder: Path) -> RunConfig:
         version.
     """
     file = folder / CONFIG_FILE
+    if folder.exists() and not folder.is_dir():
+        raise RunError(f"{folder} is a file: give the folder of a run")
     if not folder.is_dir():
         others = f", or give one of {', '.join(shipped_runs())}" if shipped_runs() else ""
         raise RunError(f"there is no folder {folder}: train a network with night-train{others}")
