@@ -28,7 +28,7 @@ from scenegen import NightError
 
 _DEFECT = 70  # EX_SOFTWARE of sysexits.h
 _REPORT_IT = "This is a defect of NIGHT {}: please report it with the text above (see CONTRIBUTING.md)."
-_NEARLY = 0.75  # of the letters of a misspelt command
+_NEARLY = 0.8  # of the letters of a misspelt command
 _OUTPUTS = ("out", "dataset")  # parameters that name where a command writes, the first that it has
 
 
@@ -64,7 +64,7 @@ def _ending(command: str, place: str = "") -> Iterator[None]:
 
 @contextmanager
 def noted_interrupt() -> Iterator[Callable[[], None]]:
-    """Ctrl-C in the block is noted; the function that is yielded raises `KeyboardInterrupt` then."""
+    """Ctrl-C in the block is noted; the function that is yielded, or the block's end, then raises it."""
     noted: list[int] = []
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not ignored, as in the background of a script
@@ -78,6 +78,7 @@ def noted_interrupt() -> Iterator[Callable[[], None]]:
         yield raise_noted
     finally:
         signal.signal(signal.SIGINT, before)
+    raise_noted()
 
 
 class NightCommand(click.Command):

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from commandline.endings import NightCommand
-from commandline.options import COUNT, DEVICE, FOLDER, MASK_FROM, MASK_THRESHOLD, Counts, Number, Sensor
+from commandline.options import COUNT, DEVICE, FOLDER, MASK_FROM, MASK_THRESHOLD, Counts, Sensor
 from commandline.results import JSON, tell
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, UNKNOWNS
 from scenegen import load_preset, open_dataset
@@ -110,7 +110,7 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
 )
 @click.option(
     "--largest-misfit",
-    type=Number(0, 1, min_open=True),
+    type=float,
     default=LARGEST_MISFIT,
     show_default=True,
     help="Share of the hidden light that an accepted fit may leave unexplained.",

@@ -92,7 +92,7 @@ def _log(xp: ModuleType, values: Any) -> Any:
 
 
 def _slope_of_all(xp: ModuleType, step: Any) -> Any:
-    """As `_slope_of_some` where all of at least two steps are known, in a fifth of the time."""
+    """As `_slope_of_some`, and faster, where all of at least two steps are known."""
     first = step[..., :1] - (step[..., 1:2] - step[..., :1]) / 2
     last = step[..., -1:] + (step[..., -1:] - step[..., -2:-1]) / 2
     return xp.concat([first, (step[..., :-1] + step[..., 1:]) / 2, last], axis=-1)

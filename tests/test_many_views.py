@@ -19,6 +19,8 @@ from model.data.channel_scaling import fit_input_spec
 from model.data.scene_walls import SceneWalls
 from model.data.shards import open_shards
 from model.network.wall_view import wall_view
+from model.prediction.measurement_files import MeasurementError
+from model.prediction.prediction_files import predict_file
 from model.prediction.predictor import InputError, load
 from model.report.evaluation import evaluate
 from model.run_folder.run_config import read_config
@@ -178,7 +180,9 @@ def test_predictions_know_the_field_of_view_and_refuse_those_that_the_training_h
     sentence = refusal(*command, "--out", tmp_path / "x", "--fov", 75)
     assert "was trained for a field of view of " in sentence
     assert "not for 75: cut it out of the image" in sentence
-    assert "no camera sees nan degrees" in refusal(*command, "--out", tmp_path / "x", "--fov", "nan")
+    assert "nan is not in the range 1<=x<=170" in refusal(*command, "--out", tmp_path / "x", "--fov", "nan")
+    with pytest.raises(MeasurementError, match="no camera sees nan degrees"):
+        predict_file(run, command[3], tmp_path / "x", horizontal_fov_deg=float("nan"))
     assert not (tmp_path / "x").exists()
 
 

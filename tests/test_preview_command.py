@@ -1,6 +1,5 @@
 """`night-gen preview` from the command line."""
 
-import os
 import signal
 from contextlib import suppress
 
@@ -61,7 +60,7 @@ def test_the_command_leaves_scenes_renders_and_night_gen_alone(corners):
 def test_ctrl_c_while_blender_renders_ends_the_command(corners, monkeypatch):
     def picture(_, __, width, height):
         with suppress(KeyboardInterrupt):  # as Cycles does, which calls Python while it renders
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return np.zeros((height, width, 3), np.uint8)
 
     monkeypatch.setattr(BlenderMaker, "picture", picture)
