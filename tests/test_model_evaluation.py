@@ -219,7 +219,7 @@ def test_night_eval_judges_where_no_other_command_is_named(finished_run, closed_
     assert "no object" in done.stderr
     assert json.loads(done.stdout) == json.loads((empty / "metrics.json").read_text())
     # All orders of words reach the same command with the same values: it refuses this threshold.
-    bad, out = ("--mask-threshold", "nan"), ("--out", tmp_path / "report")
+    bad, out = ("--mask-threshold", "inf"), ("--out", tmp_path / "report")
     messages = {
         refusal("night-eval", *words)
         for words in (
@@ -229,7 +229,7 @@ def test_night_eval_judges_where_no_other_command_is_named(finished_run, closed_
         )
     }
     assert len(messages) == 1
-    assert "an amplitude above 0, got nan" in messages.pop()
+    assert "an amplitude above 0, got inf" in messages.pop()
     assert "Missing argument 'DATASET'" in refusal("night-eval", finished_run)
     zero = refusal("night-eval", finished_run, data, *out, "--mask-threshold", 0)
     assert "not in the range x>0" in zero
