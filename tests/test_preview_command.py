@@ -1,7 +1,8 @@
 """`night-gen preview` from the command line."""
 
 import signal
-from contextlib import suppress
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from itof import write_image
 from render.products.preview import meshes_in
 from render.settings import RenderError
 from scenegen import open_dataset
-from scenegen.making.blender import BlenderMaker
 from scenegen.making.meshes import read_meshes
 
 
@@ -57,18 +57,29 @@ def test_the_command_leaves_scenes_renders_and_night_gen_alone(corners):
     assert {name: data for name, data in after.items() if name not in added} == before
 
 
-def test_ctrl_c_while_blender_renders_ends_the_command(corners, monkeypatch):
-    def picture(_, __, width, height):
-        with suppress(KeyboardInterrupt):  # as Cycles does, which calls Python while it renders
-            signal.raise_signal(signal.SIGINT)
-        return np.zeros((height, width, 3), np.uint8)
+INTERRUPTED_IN_A_PICTURE = """
+import contextlib, signal, sys
+import numpy, cli
+from scenegen.making.blender import BlenderMaker
 
-    monkeypatch.setattr(BlenderMaker, "picture", picture)
-    done = night_here("night-gen", "preview", corners.root, "--count", 2)
+def picture(_, __, width, height):
+    with contextlib.suppress(KeyboardInterrupt):  # as Cycles does, which calls Python while it renders
+        signal.raise_signal(signal.SIGINT)
+    return numpy.zeros((height, width, 3), numpy.uint8)
+
+signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+signal.signal(signal.SIGINT, signal.default_int_handler)
+BlenderMaker.picture = picture
+cli.night_gen(["preview", sys.argv[1], "--count", "2"])
+"""
+
+
+def test_ctrl_c_while_blender_renders_ends_the_command(corners):
+    program = [sys.executable, "-c", INTERRUPTED_IN_A_PICTURE, str(corners.root)]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert done.returncode == 128 + signal.SIGINT
     assert done.stderr.endswith("interrupted\n")
     assert not (corners.root / "preview").exists()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_cannot_be_previewed_is_refused(corners, tmp_path):
