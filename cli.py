@@ -112,8 +112,8 @@ def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | Non
     ids = chosen_scenes(opened, only) if only else contact_sheet.choose_scenes(opened, count)
     preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
     maker = blender_maker(preview_files.meshes_in(opened))
-    count = len(opened.ids()) + len(ids)
-    with noted_interrupt() as raise_noted, showing_progress(count, "scene", "preview") as bar:
+    steps = len(opened.ids()) + len(ids)
+    with noted_interrupt() as raise_noted, showing_progress(steps, "scene", "preview") as bar:
 
         def scene_done() -> None:
             bar.update()

@@ -17,8 +17,7 @@ _SYSTEM = {
     EACCES: _PERMISSION,
     EPERM: _PERMISSION,
     ENOTDIR: "{place}: Not a directory: a part of this path is a file; give another place",
-    EEXIST: "{place}: File exists: there is another kind of file of this name; move it away, or give another "
-    "place",
+    EEXIST: "{place}: File exists: a file of another kind has this name; move it away, or give another place",
     EMFILE: "{place}: Too many open files: raise the limit of {open_files} (ulimit -n) and start again",
     ENFILE: "{place}: Too many open files on this machine: close other programs and start again",
 }

@@ -13,7 +13,7 @@ from model.network.channels import InputSpec
 
 
 class WallFits:
-    """Wall and phases of the images of rows; a fit takes half of the time of an upload.
+    """Wall and phases of the images of rows; fits take more than half of the time of an upload.
 
     A row must have the same image each time.
 

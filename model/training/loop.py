@@ -40,6 +40,7 @@ from model.training.lock import only_training
 from model.training.log import TrainingLog
 from model.training.processes import Processes, joined_processes
 from model.training.refusals import (
+    RESUME,
     TrainingError,
     naming_compiler,
     naming_disk,
@@ -56,7 +57,6 @@ from scenegen.progress import showing_progress
 
 _log = logging.getLogger(__name__)
 _AGAIN: Final = "start again"
-_RESUME: Final = "go on with night-train --resume"
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _train(
                 with naming_disk(out / CONFIG_FILE, _AGAIN):
                     write_config(out, config)
         if not before and not start:
-            state.save(out, _RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
+            state.save(out, RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
         return _run(state, out)
 
 

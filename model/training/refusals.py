@@ -17,7 +17,8 @@ from model.settings import TrainSettings
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset, NightError, is_partial
 
-GO_ON: Final = "go on with night-train --resume; the run keeps its last checkpoint"
+RESUME: Final = "go on with night-train --resume"
+GO_ON: Final = f"{RESUME}; the run keeps its last checkpoint"
 
 
 class TrainingError(NightError):
