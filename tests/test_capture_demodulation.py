@@ -10,6 +10,7 @@ from wall_measurements import FREQUENCIES_HZ, wall_of_plane
 from itof import amplitude, phase, phasor_channels, write_image, z_from_radial
 from itof.sensor.demodulation import tap_differences
 from itof.sensor.settings import SensorSettings
+from model.capture.capture import ImageShape, capture_of
 from model.capture.demodulating import frame_phasors, sensor_pixels
 from model.capture.sidecar_files import load_sidecar
 from model.prediction.array_claims import RefusedError
@@ -136,6 +137,20 @@ def test_images_of_amplitude_and_phase_or_depth_become_phasors(tmp_path, unit):
     data = IMAGES | {"layout": "amplitude-phase", "arrays": ["p"], "amplitude_arrays": ["a"]} | changes
     found = phasors(sidecar_of(tmp_path, data), p=values, a=amplitude(PHASOR))
     assert_phasors(found, tolerance=1e-12)
+
+
+def test_a_depth_of_0_is_a_pixel_without_a_value(tmp_path):
+    data = IMAGES | {"layout": "amplitude-depth", "arrays": ["d"], "amplitude_arrays": ["a"]}
+    sidecar = sidecar_of(tmp_path, data)
+    holed = DEPTH_M.copy()
+    holed[3, 4] = 0
+    found = capture_of(raw_of(sidecar, d=holed[None], a=amplitude(PHASOR)[None]), sidecar)
+    assert (found.phasor[3, 4] == 0).all()
+    assert found.facts.dead == pytest.approx(1 / DEPTH_M[..., 0].size)
+    binned = capture_of(raw_of(sidecar, d=holed[None], a=amplitude(PHASOR)[None]), sidecar, ImageShape(2))
+    whole = capture_of(raw_of(sidecar, d=DEPTH_M[None], a=amplitude(PHASOR)[None]), sidecar, ImageShape(2))
+    # Three pixels of the bin are left, centred at the same place: phases within what the wall bends there.
+    assert np.abs(np.angle(binned.phasor[1, 2] / whole.phasor[1, 2])).max() < 2e-3
 
 
 def test_phasors_may_be_complex_or_two_arrays(tmp_path):

@@ -22,7 +22,8 @@ CERTAIN = 1e-5  # chance of a false alarm
 
 def averaged(frames, exposures_s=None):
     times = np.ones(len(frames)) if exposures_s is None else np.asarray(exposures_s)
-    return average(lambda: iter(frames), times, "frames.npz")
+    each = np.broadcast_to(times.reshape(len(frames), -1), (len(frames), len(FREQUENCIES_HZ)))
+    return average(lambda: iter(frames), each, FREQUENCIES_HZ, "frames.npz")
 
 
 def within_chi_squared(ratios, freedom):
@@ -82,6 +83,25 @@ def test_frames_of_other_exposures_are_refused_unless_their_times_are_told():
     ):
         averaged([PHASOR, 2 * PHASOR])
     np.testing.assert_allclose(averaged([PHASOR, PHASOR], [1, 2]).phasor, PHASOR)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(0.0, "frame 2 holds no light"), (2.0, "frame 2 is 2 times as bright as frame 0")]
+)
+def test_a_frame_that_differs_at_one_frequency_is_refused(factor, words):
+    frames = np.repeat(PHASOR[None], 5, axis=0)
+    frames[2, ..., 2] *= factor
+    with pytest.raises(CaptureError, match=f"at {FREQUENCIES_HZ[2] / 1e6:g} MHz, {words}"):
+        averaged(frames)
+
+
+def test_each_frequency_may_have_its_own_exposure_times():
+    times = np.array([[1.0, 2.0, 4.0], [8.0, 4.0, 2.0]])  # (N, F)
+    spoilt = np.stack([0.97 * PHASOR, 1.03 * PHASOR])
+    weights = times / times.sum(axis=0)
+    np.testing.assert_allclose(
+        averaged(spoilt, times).phasor, PHASOR * (weights * [[0.97], [1.03]]).sum(axis=0)
+    )
 
 
 # Bins

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,7 +29,7 @@ class Averaged:
     noise_rad : (H, W, F) standard deviation of the phase of this mean, radians; 0 where there is no light.
         None for one frame, which does not tell it.
     drift_rad : (N, F) phase of each frame over that of the mean, common to all pixels, radians.
-    brightness : (N,) of each frame over that of the mean.
+    brightness : (N, F) of each frame over that of the mean; 1 at a frequency without light.
     """
 
     phasor: Complexes
@@ -38,7 +38,12 @@ class Averaged:
     brightness: Floats
 
 
-def average(frames: Callable[[], Iterable[Complexes]], exposures_s: Floats, source: str) -> Averaged:
+def average(
+    frames: Callable[[], Iterable[Complexes]],
+    exposures_s: Floats,
+    frequencies_hz: Sequence[float],
+    source: str,
+) -> Averaged:
     """The mean of frames, read twice.
 
     Frame n with the exposure t_n gives z_n per second, with the variance σ² / t_n of shot noise; the mean
@@ -49,14 +54,14 @@ def average(frames: Callable[[], Iterable[Complexes]], exposures_s: Floats, sour
     Parameters
     ----------
     frames : gives the (H, W, F) phasors of each frame, the same at each call.
-    exposures_s : (N,) exposure times; only their ratios matter.
-    source : the files, for the message.
+    exposures_s : (N, F) exposure times; only the ratios at one frequency matter.
+    frequencies_hz : F modulation frequencies, Hz, for the message, as `source`, the files.
 
     Raises
     ------
-    CaptureError : frames are of different brightness.
+    CaptureError : frames are of different brightness at a frequency.
     """
-    weights = exposures_s / exposures_s.sum()
+    weights = exposures_s / exposures_s.sum(axis=0)  # (N, F)
     each = iter(frames())
     mean = weights[0] * next(each)
     for weight, z in zip(weights[1:], each, strict=True):
@@ -68,9 +73,10 @@ def average(frames: Callable[[], Iterable[Complexes]], exposures_s: Floats, sour
     for weight, z in zip(weights, frames(), strict=True):
         ratio = np.einsum("hwf,hwf->f", z, mean.conj()) / np.where(power > 0, power, 1.0)
         drift.append(np.angle(ratio))
-        brightness.append(float(np.median(np.abs(ratio[power > 0]))) if (power > 0).any() else 1.0)
+        brightness.append(np.where(power > 0, np.abs(ratio), 1.0))
         across += weight * (z * np.exp(-1j * drift[-1]) * direction.conj()).imag ** 2
-    _refuse_mixed(np.array(brightness), source)
+    for place, frequency_hz in enumerate(frequencies_hz):
+        _refuse_mixed(np.array(brightness)[:, place], f"{source}: at {frequency_hz / 1e6:g} MHz")
     noise = None
     if len(weights) > 1:
         variance = across / (len(weights) - 1)
@@ -78,13 +84,14 @@ def average(frames: Callable[[], Iterable[Complexes]], exposures_s: Floats, sour
     return Averaged(mean, noise, np.array(drift), np.array(brightness))
 
 
-def _refuse_mixed(brightness: Floats, source: str) -> None:
+def _refuse_mixed(brightness: Floats, where: str) -> None:
+    """Refuse frames whose brightness (N,) at a frequency differs too much."""
     low, high = int(brightness.argmin()), int(brightness.argmax())
     if brightness[low] < _DARK * brightness[high]:
-        raise CaptureError(f"{source}: frame {low} {NO_LIGHT}")
+        raise CaptureError(f"{where}, frame {low} {NO_LIGHT}")
     if brightness[high] > MIXED * brightness[low]:
         raise CaptureError(
-            f"{source}: frame {high} is {brightness[high] / brightness[low]:.3g} times as "
+            f"{where}, frame {high} is {brightness[high] / brightness[low]:.3g} times as "
             f"bright as frame {low}: frames of mixed exposure, or something moved; give the exposure times "
             "by exposures_s, or import the frames of one exposure"
         )

@@ -108,7 +108,7 @@ def capture_of(
 
     passes = 2 * len(raw.exposures_s)  # the mean, then what differs from it
     with showing_progress(passes, "frame", "average", show=progress) as bar:
-        mean = average(frames, raw.exposures_s, raw.source)
+        mean = average(frames, raw.exposures_s, sidecar.frequencies_hz, raw.source)
     lit = (mean.phasor != 0).all(axis=-1)
     if not lit.any():
         raise CaptureError(

@@ -139,7 +139,10 @@ def _dark_somewhere(raw: RawFrames, sidecar: Sidecar) -> Mask:
     if sidecar.amplitude_arrays and raw.partner is not None and raw.partner.min() < 0:
         raise CaptureError(f"{raw.source}: an amplitude is negative ({raw.partner.min():g}): wrong array?")
     if sidecar.amplitude_arrays and raw.partner is not None:
-        return np.asarray((raw.partner == 0).any(axis=(0, 1, 2, 3)))
+        empty = raw.partner == 0
+        if sidecar.layout == "amplitude-depth":
+            empty |= raw.values <= 0  # how cameras and `write 0` mark a pixel without a value
+        return np.asarray(empty.any(axis=(0, 1, 2, 3)))
     empty = raw.values == 0 if raw.partner is None else (raw.values == 0) & (raw.partner == 0)
     return np.asarray(empty.any(axis=(0, 1, 2, 3)))
 

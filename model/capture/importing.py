@@ -19,7 +19,7 @@ from model.capture.sidecar import CaptureError
 from model.capture.sidecar_files import load_sidecar
 from model.prediction.measurement_files import measurement_of
 from model.prediction.measurement_process import FileContents
-from scenegen import PathLike, sha256_of
+from scenegen import PathLike, inside, sha256_of
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,8 @@ def import_capture(
     arrays = {name: np.where(lit[..., None], z, 0).astype(np.complex64) for name, z in images.items()}
     contents = FileContents(arrays | {"frequencies_hz": np.array(capture.frequencies_hz)}, [])
     measurement_of(out, contents)  # what prediction will say about it
-    sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files)]
+    dark = [] if meaning.dark_file is None else [inside(folder, meaning.dark_file)]
+    sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, dark)]
     write_measurement(out, contents.arrays)
     record = ImportRecord(
         schema_version=1,
@@ -105,6 +106,7 @@ def import_capture(
         facts=capture.facts,
         reference_facts=None if reference is None else reference.facts,
         generator=f"night-eval capture import {version('night-nlos')}",
+        dark_inputs=sources[2],
     )
     write_import_record(out, record)
     return ImportedCapture(capture, reference, out, record_path(out))

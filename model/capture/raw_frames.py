@@ -35,7 +35,7 @@ class RawFrames:
     values : N frames of taps, differences, phasors (or their real parts), phases or depths.
     partner : amplitudes or imaginary parts of the same shape; None if the layout has none.
     dark : dark frames, with the size 1 on axes that they lack; None if there are none.
-    exposures_s : (N,) exposure times, seconds; all 1 if they are not given.
+    exposures_s : (N, F) exposure times, seconds; all 1 if they are not given.
     source : the files, for messages.
     """
 
@@ -58,7 +58,7 @@ def read_frames(files: Sequence[Path], sidecar: Sidecar, folder: Path) -> RawFra
     Raises
     ------
     CaptureError : a file cannot be read, an array is missing or has not the axes that the sidecar says, or
-        its values are not finite or of 8 bits.
+        its values are not finite, of 8 bits, or complex where real numbers are meant.
     """
     read: list[tuple[Path, FileContents]] = []
     for file in files:
@@ -106,7 +106,7 @@ def frames_of(files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar, fold
     others = sidecar.amplitude_arrays or sidecar.imaginary_arrays
     partner = _joined([part.read(others) for part in parts], source) if others else None
     _refuse_other_shape(values, partner, source)
-    exposures = _exposures(sidecar, parts[0], values.shape[0], source)
+    exposures = _exposures(sidecar, parts, values.shape[0], source)
     dark = _dark(sidecar, parts, folder, values.shape, source)
     return RawFrames(values, partner, dark, exposures, source)
 
@@ -119,27 +119,37 @@ class _Group:
 
     def read(self, names: tuple[str, ...], axes: tuple[str, ...] = ()) -> Arrays:
         """The arrays of these names as one; those of several files are further frames."""
-        axes = axes or self.sidecar.axes
-        frames = []
-        for name in names:
-            found = [
-                (file, contents.arrays[name]) for file, contents in self.files if name in contents.arrays
-            ]
-            if not found:
+        axes, along, source = axes or self.sidecar.axes, self.sidecar.stacked_along, str(self.files[0][0])
+        of_files = [
+            [self._view(file, contents, name, axes) for name in names] for file, contents in self.files
+        ]
+        of_names = list(zip(*of_files, strict=True))
+        for name, found in zip(names, of_names, strict=True):
+            if all(view is None for view in found):
                 raise _missing(name, self.files)
-            views = []
-            for file, values in found:
-                what = f"{file}: {name}"
-                _refuse_values(values, what)
-                views.append(ordered(values, axes, _sizes(self.sidecar), what))
-            frames.append(stacked(views, "frame", str(found[0][0])))
-        return stacked(frames, self.sidecar.stacked_along, str(self.files[0][0]))
+        # Arrays that are frames come file by file, as the exposure times do.
+        groups = of_files if along == "frame" else of_names
+        given = [[view for view in group if view is not None] for group in groups]
+        return stacked([stacked(group, "frame", source) for group in given if group], along, source)
+
+    def _view(self, file: Path, contents: FileContents, name: str, axes: tuple[str, ...]) -> Arrays | None:
+        """An array of a file with six axes; None if the file does not have it."""
+        values = contents.arrays.get(name)
+        if values is None:
+            return None
+        what = f"{file}: {name}"
+        _refuse_values(values, what)
+        if not self.sidecar.takes_complex(name):
+            _refuse_complex(values, what)
+        return ordered(values, axes, _sizes(self.sidecar), what)
 
     def numbers(self, name: str) -> Arrays:
         """All values of a list."""
         found = [contents.arrays[name] for _, contents in self.files if name in contents.arrays]
         if not found:
             raise _missing(name, self.files)
+        for values in found:
+            _refuse_complex(values, f"{self.files[0][0]}: {name}")
         return np.concatenate([values.reshape(-1) for values in found])
 
 
@@ -200,12 +210,20 @@ def _refuse_values(values: Arrays, what: str) -> None:
         raise CaptureError(f"{what} is empty: capture again")
     if values.dtype.kind in "fc" and (bad := int(np.count_nonzero(~np.isfinite(values)))):
         raise CaptureError(
-            f"{what} holds {bad} values that are NaN or infinite: write 0 for pixels without a value"
+            f"{what} holds {bad} values that are NaN or infinite: write 0 for pixels without a value, and "
+            "for their amplitudes if there are any"
         )
     ends = np.abs(values) if values.dtype.kind == "c" else values
     largest = max(abs(float(ends.max())), abs(float(ends.min())))
     if largest > LARGEST:
         raise CaptureError(f"{what} holds {largest:g}, and {LARGEST:g} is the most: write it in another unit")
+
+
+def _refuse_complex(values: Arrays, what: str) -> None:
+    if values.dtype.kind == "c":
+        raise CaptureError(
+            f"{what} must hold real numbers, got {values.dtype}: is it another array, or the layout phasors?"
+        )
 
 
 def _joined(parts: list[Arrays], source: str) -> Arrays:
@@ -228,17 +246,21 @@ def _refuse_other_shape(values: Arrays, partner: Arrays | None, source: str) -> 
         )
 
 
-def _exposures(sidecar: Sidecar, part: _Group, count: int, source: str) -> NDArray[np.float64]:
-    if sidecar.exposure_array is not None:
-        times = part.numbers(sidecar.exposure_array).astype(np.float64)
+def _exposures(sidecar: Sidecar, parts: list[_Group], count: int, source: str) -> NDArray[np.float64]:
+    """(N, F) exposure times; files of single frequencies have their own."""
+    name = sidecar.exposure_array
+    if name is not None:
+        times = [part.numbers(name).astype(np.float64) for part in parts]
     else:
-        times = np.array(sidecar.exposures_s or (1.0,) * count)
-    if times.shape != (count,) or not ((times >= _SHORTEST_S) & (times <= _LONGEST_S)).all():
-        raise CaptureError(
-            f"{source} holds {count} frames, and {len(times)} exposure times are given: give one positive "
-            "number of seconds for each frame"
-        )
-    return times
+        times = [np.array(sidecar.exposures_s or (1.0,) * count)]
+    for each in times:
+        if each.shape != (count,) or not ((each >= _SHORTEST_S) & (each <= _LONGEST_S)).all():
+            raise CaptureError(
+                f"{source} holds {count} frames, and {len(each)} exposure times are given: give one positive "
+                "number of seconds for each frame"
+            )
+    frequencies = len(sidecar.frequencies_hz)
+    return np.stack(times * (frequencies // len(times)), axis=1)
 
 
 def _dark(

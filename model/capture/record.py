@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, field
 from pathlib import Path
 from typing import Final, Literal
 
@@ -28,6 +28,7 @@ class ImportRecord:
     schema_version : 1.
     measurement_sha256 : of the measurement file that this record is about.
     inputs, empty_inputs : the captured files and their SHA-256.
+    dark_inputs : the same for the file of the dark frames, if the sidecar names one.
     sidecar : what the frames meant, with all keys.
     facts : of the capture; reference_facts : of that of the empty corner, if there is one.
     generator : the program and its version.
@@ -41,6 +42,7 @@ class ImportRecord:
     facts: CaptureFacts
     reference_facts: CaptureFacts | None
     generator: str
+    dark_inputs: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.sidecar.frequencies_hz)

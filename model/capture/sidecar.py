@@ -152,6 +152,10 @@ class Sidecar:
         """Whether the arrays hold phase steps."""
         return self.layout in ("taps", "differences")
 
+    def takes_complex(self, name: str) -> bool:
+        """Whether an array of the frames may hold complex numbers."""
+        return self.layout == "phasors" and not self.imaginary_arrays and name in self.arrays
+
     @property
     def steps(self) -> tuple[float, ...]:
         """Phases of the steps, radians."""
