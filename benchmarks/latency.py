@@ -94,7 +94,8 @@ def untrained(preset: str, width: int, height: int, device: str) -> Predictor:
         object_depth_m=OBJECT_DEPTH_M if settings.predicts_probability else None,
     )
     chosen = choose_device(device)
-    return Predictor(config, config.network(torch.Generator().manual_seed(0)).to(chosen), chosen)
+    network = config.network(torch.Generator().manual_seed(0)).to(chosen)
+    return Predictor(config, network, chosen, weights_sha256="0" * 64)
 
 
 def latencies_ms(predictor: Predictor, seconds: float) -> NDArray[np.float64]:

@@ -4,8 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from test_refinement_light import solids_of
 
 from itof import pixel_rays
+from model.bounces.room import room_of
 from render.products.geometry import traced_depth_m
 from render.transport.mirrored import trace_ground_truth
 from render.transport.scene_loading import load_scene, scene_from_data
@@ -51,6 +53,14 @@ def test_the_mirrored_middle_wall_hides_exactly_what_is_behind_it(partly_hidden,
     assert 20 < behind.sum() < paper.mask.sum() - 20
     np.testing.assert_array_equal(mirror.mask, paper.mask & ~behind)
     np.testing.assert_array_equal(mirror.radial_depth_m, np.where(mirror.mask, paper.radial_depth_m, 0))
+
+
+def test_refined_depth_maps_show_what_the_truth_shows(partly_hidden, variant):
+    for dataset in partly_hidden:
+        truth, room = truth_of(dataset), room_of(dataset)
+        found_m = room.mirrored_depth_m(solids_of(dataset, "000000"), pixel_rays(WIDTH, HEIGHT, 60.0))
+        np.testing.assert_array_equal(found_m > 0, truth.mask)
+        np.testing.assert_allclose(found_m, truth.radial_depth_m, atol=1e-4)
 
 
 def test_an_object_in_full_view_has_the_same_truth_both_ways(make_dataset, variant):

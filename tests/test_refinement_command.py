@@ -12,8 +12,13 @@ from night_commands import night_here, refusal, words
 from PIL import Image
 from render_runs import wait_for, workers_of
 from threadpoolctl import threadpool_limits
+from training_runs import edit_weights
 
 from itof import DepthMap
+from model.prediction.predictor import load
+from model.report.refinement import refine_split
+from model.report.refusals import EvaluationError
+from model.run_folder.shipped import run_folder
 from scenegen import open_dataset
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -107,8 +112,18 @@ def test_other_options_need_another_folder(copied, dataset):
         *("--unknown", "sizes"),
     )
     assert sentence == (
-        f"{copied} holds results of another run, dataset or options: choose another --out, or delete it"
+        f"{copied} holds results of another run, of its earlier weights, of another dataset or of other "
+        "options: choose another --out, or delete it"
     )
+
+
+def test_results_of_earlier_weights_of_a_run_are_not_taken_for_its_own(copied, dataset, tmp_path):
+    run = tmp_path / "night-40x30"
+    shutil.copytree(run_folder("night-40x30"), run)
+    edit_weights(run, lambda name, weight: 1.01 * weight)
+    assert load(run).config.run_id == load("night-40x30").config.run_id
+    with pytest.raises(EvaluationError, match="of its earlier weights"):
+        refine_split(run, open_dataset(dataset), copied, device="cpu", progress=False)
 
 
 def test_only_the_objects_of_another_preset_are_tried(dataset, tmp_path):

@@ -49,6 +49,7 @@ class Room:
     reflectance : of the relay wall.
     is_rough : whether the relay wall has a roughness, which is not known; else it is Lambertian.
     occluders : black rectangles that hide the object from the camera and from parts of the wall.
+    mirrors_occluders : whether their mirror images hide that of the object, too, as in a real mirror.
     """
 
     horizontal_fov_deg: float
@@ -56,6 +57,7 @@ class Room:
     reflectance: float
     is_rough: bool
     occluders: tuple[Rectangle, ...]
+    mirrors_occluders: bool = False
 
     def with_plane(self, plane_per_m: ArrayLike) -> Room:
         """The room with its relay wall elsewhere."""
@@ -84,6 +86,9 @@ class Room:
         origin = torch.as_tensor(self.mirrored_camera_m)
         depth_m = torch.stack([solid.first_hit(origin, flat) for solid in solids]).amin(0)
         seen = depth_m.isfinite() & torch.as_tensor(rays.reshape(-1, 3) @ self.plane_per_m > 0)
+        points_m = origin + torch.where(seen, depth_m, 0)[:, None] * flat
+        for occluder in self.occluders if self.mirrors_occluders else ():
+            seen &= ~occluder.hides(origin.expand_as(points_m), points_m)
         return torch.where(seen, depth_m, 0).numpy().reshape(rays.shape[:-1])
 
     def points_m(self, radial_depth_m: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,6 +107,7 @@ def room_of(dataset: Dataset) -> Room:
         reflectance=scene.relay_wall.reflectance,
         is_rough=scene.relay_wall.material == "rough",
         occluders=(_rectangle(scene.middle_wall, view),),
+        mirrors_occluders=scene.mirror_occluders,
     )
 
 

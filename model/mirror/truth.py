@@ -61,8 +61,9 @@ def truth_of_mirror(
     """Depth map of the object from a capture of the mirror.
 
     The wall is taken to be where `wall` says: the mean phase of `corner` over its return is the offset of
-    the camera at each frequency. Depth is unwrapped from the phases at all
-    frequencies. A pixel shows the object if one return explains its phases, behind the wall's plane and
+    the camera at each frequency. Depth is unwrapped from the phases at all frequencies, up to the far end of
+    the region: farther depths would explain noisy phases as well if the frequencies have no large common
+    divisor. A pixel shows the object if one return explains its phases, behind the wall's plane and
     within the mirror image of `region`; pieces of a few pixels are dropped. An error of the wall's distance,
     or of 10 mrad at 60 MHz, which is 4 mm, is one of the depth.
 
@@ -90,10 +91,11 @@ def truth_of_mirror(
     plane, wall_m = np.asarray(wall.plane_per_m), np.asarray(wall.radial_depth_m)
     offsets = wall_offsets_rad(corner, wall)
     phases = np.angle(mirror) - offsets
-    depth_m = unwrap_depth(phases, frequencies_hz)
+    seen = region.mirrored(plane)
+    farthest_m = float(np.linalg.norm(seen.centre_m)) + seen.radius_m
+    depth_m = unwrap_depth(phases, frequencies_hz, farthest_m)
     left = phases - wall.slope * depth_m[..., None]
     left = left - 2 * np.pi * np.round(left / (2 * np.pi))
-    seen = region.mirrored(plane)
     points_m = depth_m[..., None] * wall.rays
     mask = (mirror != 0).all(axis=-1) & (np.sqrt((left**2).mean(axis=-1)) < _SINGLE_RAD)
     mask &= depth_m > wall_m + _BEHIND_M

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,11 +38,17 @@ class InputError(NightError):
 
 @dataclass(frozen=True)
 class Predictor:
-    """A trained network with its configuration, on a device; made by `load`."""
+    """A trained network with its configuration, on a device; made by `load`.
+
+    Attributes
+    ----------
+    weights_sha256 : of its ``best.safetensors``.
+    """
 
     config: RunConfig
     network: UNet
     device: torch.device
+    weights_sha256: str
 
     @cached_property
     def reference(self) -> NDArray[np.complex64]:
@@ -280,5 +287,5 @@ def load(run: PathLike, device: DeviceName = "auto") -> Predictor:
     chosen = choose_device(device)
     with plain_memory_errors():
         network = config.network()
-        load_weights(folder, network, config)
-        return Predictor(config, network.to(chosen), chosen)
+        content = load_weights(folder, network, config)
+        return Predictor(config, network.to(chosen), chosen, hashlib.sha256(content).hexdigest())

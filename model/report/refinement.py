@@ -85,6 +85,7 @@ def refine_split(
         raise nothing_rendered(dataset, split)
     recipe = Recipe(
         predictor.config.run_id,
+        predictor.weights_sha256,
         shards.manifest.data_sha256,
         split,
         dict(family.sizes),
@@ -143,7 +144,8 @@ def _prepare(out: Path, recipe: Recipe) -> None:
             earlier = None
         if earlier != recipe:
             raise EvaluationError(
-                f"{out} holds results of another run, dataset or options: choose another --out, or delete it"
+                f"{out} holds results of another run, of its earlier weights, of another dataset or of other "
+                "options: choose another --out, or delete it"
             )
         return
     if out.exists() and any(out.iterdir()):

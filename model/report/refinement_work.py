@@ -27,6 +27,7 @@ from model.refinement.settings import Unknown
 from model.report.judging import Bench
 from model.report.refined_result import FoundSolid, RefinedScene, SceneNumbers
 from model.report.refusals import EvaluationError
+from model.run_folder.run_config import Sha256
 from model.settings import DeviceName
 from scenegen import Dataset, Split, open_dataset, write_text
 from scenegen.contract import STRICT, Vector
@@ -37,9 +38,15 @@ SCENES_FOLDER = "scenes"
 
 @checked_dataclass(frozen=True, config=STRICT)
 class Recipe:
-    """What results depend on; only results of the same recipe are kept."""
+    """What results depend on; only results of the same recipe are kept.
+
+    Attributes
+    ----------
+    weights_sha256 : of ``best.safetensors``, which change while a run goes on; its ``run_id`` does not.
+    """
 
     run_id: str | None
+    weights_sha256: Sha256
     data_sha256: str
     split: Split
     sizes_m: dict[str, Vector]
@@ -47,7 +54,7 @@ class Recipe:
     unknown: tuple[Unknown, ...]
     largest_misfit: float
     largest_difference: float
-    schema_version: Literal[3] = 3
+    schema_version: Literal[4] = 4
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,16 @@ class Job:
     out: Path
 
     def begun(self, predictor: Predictor, dataset: Dataset, shards: Shards) -> Work:
-        """The job with its network and its dataset, which are open."""
+        """The job with its network and its dataset, which are open.
+
+        Raises
+        ------
+        EvaluationError : the weights of the run are others than when the job began.
+        """
+        if predictor.weights_sha256 != self.recipe.weights_sha256:
+            raise EvaluationError(
+                f"the weights of {self.run} have changed: refine again when its training ends"
+            )
         view = wall_view(dataset)
         bench = Bench(predictor.at(view), predictor.config.readout, dataset, shards, progress=False)
         return Work(bench, view, room_of(dataset), self.family, self.recipe, self.out)

@@ -15,8 +15,8 @@ from scenegen import PathLike, whole_folder
 def compact(run: PathLike, out: PathLike) -> Path:
     """Write the folder `out` with what a prediction, an evaluation and `night-train --from` need of a run.
 
-    16 bit floats round weights by up to 5e-4 of their size; the run keeps its id. `--resume` would begin
-    again, without the checkpoint.
+    16 bit floats round weights by up to 5e-4 of their size; the run keeps its id. It has no
+    checkpoint, so `--resume` refuses it.
 
     Raises
     ------
