@@ -17,8 +17,9 @@ WholeCount = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 _Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # metres or degrees, also beyond those of presets
+FARTHEST_M = 1000
 Vector = tuple[_Coordinate, _Coordinate, _Coordinate]
-Metres = Annotated[float, Field(ge=-1000, le=1000)]
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 Length = Annotated[float, Field(ge=1e-4, le=1000)]  # metres; float32 coordinates cannot hold thinner objects
 Extent = tuple[Length, Length, Length]

@@ -14,6 +14,7 @@ from pydantic.dataclasses import dataclass
 from scipy.constants import speed_of_light
 
 from scenegen.contract import (
+    FARTHEST_M,
     MAX_FOV_DEG,
     MIN_FOV_DEG,
     STRICT,
@@ -265,6 +266,12 @@ class Preset:
             raise ValueError(
                 f"camera_spread.horizontal_fov_deg moves camera.horizontal_fov_deg = {fov_deg:g} out of "
                 f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees: got {spread_deg:g}"
+            )
+        moved_m, farthest_m = self.camera_spread.location_m, max(map(abs, self.camera.location_m))
+        if moved_m and farthest_m + moved_m > FARTHEST_M:
+            raise ValueError(
+                f"camera_spread.location_m moves camera.location_m out of {-FARTHEST_M} to {FARTHEST_M} "
+                f"metres: got {moved_m:g}"
             )
         for name, part in (("hidden_object", self.hidden_object), ("relay_wall", self.relay_wall)):
             least, most = part.least_reflectance, part.reflectance

@@ -190,7 +190,7 @@ def _sample_camera(preset: Preset, rng: np.random.Generator) -> Camera:
         camera,
         horizontal_fov_deg=camera.horizontal_fov_deg + wider_deg,
         location_m=_sum(camera.location_m, moved),
-        rotation_deg=_sum(camera.rotation_deg, turned),
+        rotation_deg=_turned(camera.rotation_deg, turned),
     )
 
 
@@ -232,3 +232,9 @@ def _uniform(rng: np.random.Generator, ranges: Sequence[tuple[float, float]]) ->
 
 def _sum(a: Vector, b: Vector) -> Vector:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _turned(a: Vector, b: Vector) -> Vector:
+    """Sums of angles; one beyond ±360 degrees, which no camera may have, is brought back by a turn."""
+    x, y, z = (angle - 360 * np.sign(angle) if abs(angle) > 360 else angle for angle in _sum(a, b))
+    return (float(x), float(y), float(z))

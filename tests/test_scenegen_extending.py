@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from scene_folders import contents, identities, of_seed_5
 from scenegen import (
     DatasetError,
     RenderingRecord,
+    SamplingError,
     open_dataset,
     preset_from_dict,
     scene_id,
+    write_index,
     write_rendering_record,
 )
+from scenegen.dataset import MEASURED_GENERATOR
 from scenegen.making.generation import generate
 from scenegen.making.target import check_target
 
@@ -163,6 +167,42 @@ def test_fewer_scenes_than_there_are_are_refused_with_the_number_there_is(maker,
     assert "--count 3 or more" in message
     assert "another preset or seed" in refusal(*command, 3, "--seed", 1)
     assert len(open_dataset(tmp_path).ids()) == 3
+
+
+def test_captures_are_not_replaced_by_drawn_scenes(maker, tmp_path):
+    dataset = generate(tmp_path, of_seed_5(2), maker, lambda: None)
+    write_index(tmp_path, replace(dataset.index, generator=MEASURED_GENERATOR))
+    before = contents(tmp_path)
+    for command in ((), ("--count", 5)):
+        assert "holds captures of a camera" in refusal("night-gen", "scenes", tmp_path, *command)
+    assert contents(tmp_path) == before
+
+
+def test_two_processes_do_not_make_scenes_in_one_folder(maker, tmp_path):
+    refused = []
+
+    def other_number():
+        with pytest.raises(DatasetError, match="another night-gen is making scenes in") as error:
+            generate(tmp_path / "data", of_seed_5(3), maker, lambda: None)
+        refused.append(error)
+
+    made = generate(tmp_path / "data", of_seed_5(6), maker, other_number)
+    assert len(refused) == 6
+    assert len(made.ids()) == 6
+    assert all(made.scene(scene).seed for scene in made.ids())  # every folder is there
+    assert sorted(entry.name for entry in made.root.iterdir()) == ["dataset.json", "scenes"]
+
+
+def test_a_refused_preset_leaves_no_folder(maker, tmp_path):
+    class NoRoom:
+        version = "1"
+
+        def refusal(self, scene):
+            return "too big"
+
+    with pytest.raises(SamplingError):
+        generate(tmp_path / "data", of_seed_5(1), NoRoom(), lambda: None)
+    assert not (tmp_path / "data").exists()
 
 
 def test_the_index_says_by_what_the_scenes_were_made(maker, tmp_path):

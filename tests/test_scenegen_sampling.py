@@ -9,6 +9,7 @@ from scenegen import (
     Preset,
     PresetError,
     SamplingError,
+    camera_axes,
     leaks,
     load_preset,
     preset_from_dict,
@@ -107,6 +108,18 @@ def test_composites_join_two_different_shapes_within_their_ranges(paper_scenes):
     assert np.abs(turns).max() <= 45 + 1e-9
 
 
+def test_cameras_turn_beyond_a_whole_turn():
+    def cameras(z_deg):
+        data = {"camera": {"rotation_deg": [90, 0, z_deg]}, "camera_spread": {"rotation_deg": 60}}
+        return [sample_scene(preset_from_dict(data, "x"), index).camera for index in range(40)]
+
+    for one, other in zip(cameras(-310), cameras(50), strict=True):
+        assert max(map(abs, one.rotation_deg)) <= 360
+        np.testing.assert_allclose(camera_axes(one), camera_axes(other), atol=1e-12)
+    assert min(one.rotation_deg[2] for one in cameras(-310)) < -350  # some are near the end of the range
+    assert max(one.rotation_deg[2] for one in cameras(-310)) > -10  # and some beyond it
+
+
 def test_a_diffuse_wall_has_no_roughness():
     preset = preset_from_dict({"relay_wall": {"material": "diffuse"}}, "diffuse")
     assert sample_scene(preset, 0).relay_wall.roughness is None
@@ -179,6 +192,10 @@ def test_a_preset_without_room_is_refused_by_reason(paper):
         ({"camera": {"horizontal_fov_deg": 179.9}}, "camera.horizontal_fov_deg"),
         ({"camera": {"location_m": [1e38, 0, 0]}}, "camera.location_m.0"),
         ({"camera": {"rotation_deg": [0, 361, 0]}}, "camera.rotation_deg.1"),
+        (
+            {"camera": {"location_m": [0, -999, 1]}, "camera_spread": {"location_m": 1.5}},
+            "camera_spread.location_m moves camera.location_m out of -1000 to 1000 metres",
+        ),
         ({"relay_wall": {"size_m": [4, 1e300]}}, "relay_wall.size_m.1"),
         ({"middle_wall": {"location_m": [0, 0, -1001]}}, "middle_wall.location_m.2"),
         ({"hidden_object": {"location_m": {"x": [0, 1e300]}}}, "hidden_object.location_m.x.1"),

@@ -10,7 +10,7 @@ from typing import Protocol
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
 from scenegen.files.inside import inside
 from scenegen.files.whole_files import whole_folder
-from scenegen.making.target import NO_MESHES, check_target, refuse_files_of_others, surplus
+from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
 from scenegen.preset import Preset
 from scenegen.rendering_record import read_rendering_record, write_rendering_record
 from scenegen.sampling import sample_valid_scene
@@ -56,12 +56,13 @@ def generate(
 
     Raises
     ------
-    DatasetError : as `check_target`.
+    DatasetError : as `check_target` and `alone_in`.
     SamplingError : the preset's ranges leave an object no room.
     """
-    prepare(root, preset, meshes)
-    scenes = (write_scene(root, preset, index, maker) for index in range(preset.dataset.count))
-    return finish(root, preset, meshes, reported(scenes, on_scene), maker.version)
+    with alone_in(root):
+        prepare(root, preset, meshes)
+        scenes = (write_scene(root, preset, index, maker) for index in range(preset.dataset.count))
+        return finish(root, preset, meshes, reported(scenes, on_scene), maker.version)
 
 
 def prepare(root: Path, preset: Preset, meshes: Mapping[str, str]) -> None:

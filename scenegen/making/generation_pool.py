@@ -11,7 +11,7 @@ from pathlib import Path
 
 from scenegen.dataset import Dataset, SceneEntry
 from scenegen.making.generation import Maker, finish, prepare, reported, write_scene
-from scenegen.making.target import NO_MESHES
+from scenegen.making.target import NO_MESHES, alone_in
 from scenegen.night_error import NightError
 from scenegen.preset import Preset
 from scenegen.worker_processes import KILLED, results_in_order, submit, worker_pool
@@ -49,6 +49,18 @@ def generate_in_processes(
     WorkerError : a worker was killed.
     DatasetError, SamplingError : as `generate`.
     """
+    with alone_in(root):
+        return _generated(root, preset, make_maker, on_scene, workers, meshes)
+
+
+def _generated(
+    root: Path,
+    preset: Preset,
+    make_maker: Callable[[], Maker],
+    on_scene: Callable[[], None],
+    workers: int,
+    meshes: Mapping[str, str],
+) -> Dataset:
     prepare(root, preset, meshes)
     count = preset.dataset.count
     chunks = [range(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from scenegen.dataset import DatasetError, open_dataset
 from scenegen.files.inside import inside
+from scenegen.files.locks import lock
 from scenegen.files.partials import is_partial, remove_leftovers
 from scenegen.preset import Preset
 from scenegen.scene import scene_from_json, scene_id
@@ -18,6 +21,32 @@ from scenegen.scene_folder import SCENE_FILE, is_scene_file
 
 NO_MESHES: Mapping[str, str] = MappingProxyType({})
 _NAMED = 3  # files that a refusal names
+
+
+@contextmanager
+def alone_in(root: Path) -> Iterator[None]:
+    """Be the only process that makes scenes in the folder `root`, which is made if it is missing.
+
+    Two processes would remove each other's scenes as those of an interrupted run. The lock is that of the
+    folder itself, so it leaves no file. A folder that is still empty at the end is removed.
+
+    Raises
+    ------
+    DatasetError : another process makes scenes in it.
+    """
+    if os.path.lexists(root) and not root.is_dir():
+        yield  # `check_target` refuses it
+        return
+    root.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        if not lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):
+            raise DatasetError(f"another night-gen is making scenes in {root}: wait until it has ended")
+        yield
+    finally:
+        with suppress(OSError):
+            root.rmdir()  # fails if anything is in it
+        os.close(descriptor)
 
 
 def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES) -> None:
@@ -92,7 +121,13 @@ def _files_of_others(entry: Path) -> Iterator[Path]:
 
 def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str]) -> int:
     """Number of scenes of the dataset in `root`; `preset` must ask for the same scenes, or for more."""
-    index = open_dataset(root).index
+    dataset = open_dataset(root)
+    if dataset.is_measured:
+        raise DatasetError(
+            f"{root} holds captures of a camera, and night-gen would replace their scenes: choose an empty "
+            "folder; night-eval capture pairs makes the dataset again"
+        )
+    index = dataset.index
     count = index.preset.dataset.count
     if replace(preset, dataset=replace(preset.dataset, count=count)) != index.preset:
         raise DatasetError(
