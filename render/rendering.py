@@ -130,6 +130,7 @@ class Renderer:
             files={n: FileRecord(bytes=f.stat().st_size, sha256=sha256_of(f)) for n, f in files.items()},
         )
         write_record(folder, record)
+        remove_failure(folder)  # another command may have given the scene up meanwhile
         forget_bad_render(folder, record)
         return record
 

@@ -135,15 +135,6 @@ class RenderSettings:
         }
 
 
-def read_recipe(recipe: str) -> dict[str, Any]:
-    """Contents of a recipe; an empty dictionary if the text is not a recipe."""
-    try:
-        content = json.loads(recipe)
-    except ValueError:
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
 def settings_of(rendering: RenderingRecord, dataset: Dataset) -> RenderSettings:
     """The settings that a dataset was rendered with, from its record in ``renders/rendering.json``.
 
@@ -187,6 +178,8 @@ def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:
     known = option_names()
     options = {name: value for name, value in given.items() if name in known}
     others = {name: value for name, value in given.items() if name not in known}
+    if {"lights", "error"} <= options.keys():
+        raise RenderError("--lights gives the number of points, which --error would choose: leave one out")
     method = others.pop("method", settings.method)
     if options or method != settings.method:
         others["options"] = options_of(method, options)

@@ -9,8 +9,9 @@ written. If the next render of the scene has the same bytes, the fault is in the
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
@@ -93,6 +94,15 @@ class BadRender:
     def is_again(self, record: RenderRecord) -> bool:
         """Whether a render has the same bytes: then rendering once more does not help."""
         return (self.recipe, self.files) == (record.recipe, record.files)
+
+
+def read_recipe(recipe: str) -> dict[str, Any]:
+    """Contents of a recipe; an empty dictionary if the text is not a recipe."""
+    try:
+        content = json.loads(recipe)
+    except ValueError:
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def read_record(folder: PathLike) -> RenderRecord | None:

@@ -7,10 +7,11 @@ from scenegen import FileRecord, RenderRecord, read_record, sha256_of, write_rec
 NEW = RenderRecord(recipe="{}", attributes={}, files={})
 
 
-def record_anew(folder):
+def record_anew(folder, recipe=None):
     """Record the EXR files of a render folder as they are now, as a program would that wrote them wrong."""
     files = {
         file.name: FileRecord(bytes=file.stat().st_size, sha256=sha256_of(file))
         for file in folder.glob("*.exr")
     }
-    write_record(folder, dataclasses.replace(read_record(folder) or NEW, files=files))
+    record = read_record(folder) or NEW
+    write_record(folder, dataclasses.replace(record, files=files, recipe=recipe or record.recipe))

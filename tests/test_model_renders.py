@@ -1,5 +1,6 @@
 """Renders that cannot be trained on are refused by scene and file; failed scenes are left out."""
 
+import json
 import shutil
 
 import numpy as np
@@ -64,6 +65,24 @@ def test_scenes_that_could_not_be_rendered_are_left_out_until_they_can(dataset, 
     shutil.rmtree(dataset.render_folder("000002"))
     shutil.move(kept, dataset.render_folder("000002"))
     assert open_shards(dataset).manifest.data_sha256 == whole.manifest.data_sha256
+
+
+def test_a_failure_that_is_older_than_the_render_does_not_count(dataset):
+    folder = dataset.render_folder("000002")
+    record_anew(folder)
+    write_failure(folder, FailureRecord(recipe="", attempts=2, reason="its mesh is broken"), "log")
+    assert len(open_shards(dataset).manifest.scenes) == 6
+
+
+def test_scenes_of_other_bounces_are_not_mixed(dataset):
+    for scene in dataset.ids()[:5]:  # the last one is of another program
+        record_anew(dataset.render_folder(scene), json.dumps({"max_bounces": 3}))
+    open_shards(dataset)
+    record_anew(dataset.render_folder("000003"), json.dumps({"max_bounces": 1}))
+    with pytest.raises(
+        ShardError, match=r"scene 000000 of .* with at most 3 bounces and scene 000003 with 1"
+    ):
+        open_shards(dataset)
 
 
 def test_a_scene_that_was_not_rendered_is_named(dataset):

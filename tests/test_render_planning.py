@@ -16,7 +16,7 @@ from render.farm.inventory import Inventory
 from render.farm.plan import make_plan, size
 from render.farm.status import duration, read_status
 from render.options import ManyLightOptions, PathOptions
-from render.settings import RenderSettings, settings_of
+from render.settings import RenderError, RenderSettings, settings_for, settings_of
 from scenegen import RECORD_FILE, RenderingRecord, open_dataset, read_record
 
 SETTINGS = RenderSettings(product="both", options=ManyLightOptions(error=0.05))  # of the shared renders
@@ -57,6 +57,12 @@ def test_a_plan_that_does_not_fit_says_what_would(dataset):
     assert small.refusal() is None
 
 
+@pytest.mark.parametrize(("bounces", "hidden"), [(1, False), (2, False), (3, True), (6, True)])
+def test_a_plan_warns_of_renders_without_hidden_light(dataset, bounces, hidden):
+    plan = make_plan(dataset, RenderSettings(max_bounces=bounces), dataset.ids(), [])
+    assert any("no light of the hidden object" in line for line in plan.sentences()) is not hidden
+
+
 @pytest.mark.parametrize(
     ("count", "words"),
     [(0, "0 bytes"), (999, "999 bytes"), (5_500_000, "5.5 MB"), (123e9, "123 GB"), (4.2e15, "4200 TB")],
@@ -87,6 +93,13 @@ def test_settings_survive_the_way_through_rendering_json(dataset):
         hidden_error_max=None,
     )
     assert settings_of(note, dataset) == given
+
+
+def test_points_are_given_or_chosen_for_an_error_not_both(dataset):
+    assert settings_for(dataset, {"lights": 64}).options == ManyLightOptions(lights=64)
+    assert settings_for(dataset, {"error": 0.05}).options == ManyLightOptions(error=0.05)
+    with pytest.raises(RenderError, match="leave one out"):
+        settings_for(dataset, {"lights": 64, "error": 0.05})
 
 
 def test_a_claim_counts_attempts_of_one_run_and_forgets_those_of_another(tmp_path):

@@ -18,6 +18,8 @@ from scenegen import (
     Dataset,
     FileHashes,
     NightError,
+    RenderRecord,
+    read_recipe,
     read_record,
     recorded_file,
 )
@@ -82,21 +84,43 @@ def source_hashes(
 
     Raises
     ------
-    ShardError : a scene is not rendered.
+    ShardError : a scene is not rendered, or with another number of bounces than the others.
     RenderFileError : a scene has no record, or a file differs from the one in it.
     """
     found: dict[str, dict[str, str]] = {scene: {} for scene in dataset.ids()}
-    record = None
+    record, bounces = None, _Bounces(dataset)
     for name, path in source_files(dataset, ground_truth).items():
         scene = path.parent.name
         if not found[scene]:
             record = read_record(path.parent)
+            bounces.refuse_others(scene, record)
         if record is None or path.name not in record.files:
             recorded_file(dataset, scene, path.name)  # passes for measurements from another program
         digest = found[scene][name] = hashes.sha256(path)
         if record is not None and record.files[path.name].sha256 != digest:
             raise changed_file(dataset, scene, path)
     return found
+
+
+class _Bounces:
+    """Compares how many bounces of light the scenes of a dataset are rendered with."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+        self.first: tuple[str, int] | None = None  # a scene and its number
+
+    def refuse_others(self, scene: str, record: RenderRecord | None) -> None:
+        """`ShardError` if the scene has another number than those before; a scene without record has none."""
+        count = read_recipe(record.recipe).get("max_bounces") if record is not None else None
+        if not isinstance(count, int):
+            return
+        self.first = self.first or (scene, count)
+        if count != self.first[1]:
+            root = self.dataset.root
+            raise ShardError(
+                f"scene {self.first[0]} of {root} is rendered with at most {self.first[1]} bounces and scene "
+                f"{scene} with {count}: night-render {root} --replace --max-bounces N renders all alike"
+            )
 
 
 def read_render(dataset: Dataset, scene: str, ground_truth: GroundTruth = "geometry") -> RenderedScene:

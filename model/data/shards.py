@@ -24,7 +24,7 @@ from model.data.renders import ShardError
 from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
 from model.settings import GroundTruth
-from scenegen import Dataset, FileHashes, Split, read_failure
+from scenegen import Dataset, FileHashes, Split, read_failure, read_record
 
 _log = logging.getLogger(__name__)
 
@@ -121,7 +121,12 @@ def open_shards(
 def _without_failures(dataset: Dataset) -> Dataset:
     """The dataset without the scenes that could not be rendered."""
     scenes = dataset.index.scenes
-    failed = {scene.id for scene in scenes if read_failure(dataset.render_folder(scene.id)) is not None}
+    folders = {scene.id: dataset.render_folder(scene.id) for scene in scenes}
+    failed = {
+        scene
+        for scene, folder in folders.items()
+        if read_failure(folder) is not None and read_record(folder) is None
+    }
     if not failed:
         return dataset
     if len(failed) == len(scenes):

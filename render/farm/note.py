@@ -7,8 +7,8 @@ from dataclasses import asdict, replace
 from importlib.metadata import version
 
 from render.farm.claims import noting
-from render.settings import RenderSettings, read_recipe, settings_of
-from scenegen import Dataset, RenderingRecord, read_record, write_rendering_record
+from render.settings import RenderSettings, settings_of
+from scenegen import Dataset, RenderingRecord, read_recipe, read_record, write_rendering_record
 
 _PACKAGES = ("night-nlos", "mitsuba", "drjit", "mitransient", "numpy", "OpenEXR")
 

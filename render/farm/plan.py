@@ -17,6 +17,7 @@ _COMPONENTS = 2  # Re and Im
 _FLOAT_BYTES = 4
 _MEASURED_SCENES = 20  # give the mean size well enough
 _MARGIN = 1.05
+_HIDDEN_BOUNCES = 3  # wall, object, wall
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,16 @@ class Plan:
         if not self.settings.wants_transients:
             space = f"phasors and ground truth {images} (transients would be {transients} more)"
         what = f"{self.scenes} scenes at {layout.width}x{layout.height}, {self.settings.method}"
-        return [
+        lines = [
             f"plan: {what}, product {self.settings.product}",
             f"disk: {space}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
         ]
+        if (bounces := self.settings.bounces(self.dataset)) < _HIDDEN_BOUNCES:
+            lines.append(
+                f"warning: with at most {bounces} bounces, no light of the hidden object reaches the camera, "
+                f"which takes {_HIDDEN_BOUNCES}: give --max-bounces {_HIDDEN_BOUNCES} or more"
+            )
+        return lines
 
     def as_data(self) -> dict[str, Any]:
         """The plan as plain data: the scenes to render, and bytes."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from itof import DepthMap, Image, ImageFileError, read_image
 from render.products.content_checks import has_part, wrong_phasors, wrong_pixels
 from render.products.conversion import ExportError
-from render.settings import read_recipe, settings_of
+from render.settings import settings_of
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,
@@ -24,6 +24,7 @@ from scenegen import (
     Scene,
     read_bad_render,
     read_failure,
+    read_recipe,
     read_record,
     recorded_file,
 )

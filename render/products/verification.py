@@ -20,7 +20,7 @@ from render.products.content_checks import (
     wrong_transient,
     wrong_truth,
 )
-from render.settings import RenderError, read_recipe
+from render.settings import RenderError
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,
@@ -32,6 +32,7 @@ from scenegen import (
     RenderRecord,
     open_dataset,
     read_bad_render,
+    read_recipe,
     read_record,
     write_bad_render,
 )
