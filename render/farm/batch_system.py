@@ -30,11 +30,14 @@ _SYSTEMS = {
     "oar": "OARCluster",
     "htcondor": "HTCondorCluster",
 }
+_LAST_LINES = 4  # of what a batch system says, where the reason is
 _ENCRYPTED = (None, "tls", "tls://")
 
 
 @contextmanager
-def batch_cluster(file: PathLike, keys_folder: PathLike) -> Iterator[JobQueueCluster]:
+def batch_cluster(
+    file: PathLike, keys_folder: PathLike, refusals: list[str] | None = None
+) -> Iterator[JobQueueCluster]:
     """The cluster that a configuration file of dask-jobqueue describes; no job is submitted yet.
 
     Connections are encrypted with certificates of this run, unless the file says ``protocol: tcp://``. Jobs
@@ -44,13 +47,16 @@ def batch_cluster(file: PathLike, keys_folder: PathLike) -> Iterator[JobQueueClu
     ----------
     keys_folder : folder for the certificates, which all machines see. No other user can read them, and they
         are deleted at the end.
+    refusals : gets a sentence for each job that cannot be submitted. Dask does not try again.
 
     Raises
     ------
-    ClusterError : the file is missing or not YAML, does not have exactly one system, or has unknown keys.
+    ClusterError : the file is missing or not YAML, does not have exactly one system, has unknown keys or
+        values that do not make a job, or the system's command is not installed here.
     """
     cls, given = _checked_cluster_file(file)
     folder = given.pop("shared_temp_directory", None) or keys_folder
+    job_cls = _watched(cls.job_cls, [] if refusals is None else refusals)  # type: ignore[attr-defined]
     options: dict[str, Any] = {"python": f"{shlex.quote(sys.executable)} -P", **given}
     if not _shows_pages(options):
         options["scheduler_options"] = NO_DASHBOARD | (options.get("scheduler_options") or {})
@@ -60,10 +66,32 @@ def batch_cluster(file: PathLike, keys_folder: PathLike) -> Iterator[JobQueueClu
             keys = stack.enter_context(_keys(file, place))
             options |= {"protocol": "tls://", "security": keys}
         try:
-            cluster: JobQueueCluster = cls(**options)
-        except (ValueError, TypeError, RuntimeError, OSError) as error:
-            raise ClusterError(f"{file}: {' '.join(str(error).split())}") from None
-        yield stack.enter_context(cluster)
+            cluster: JobQueueCluster = cls(**options, job_cls=job_cls)
+            stack.enter_context(cluster)
+            cluster.job_script()
+        except Exception as error:  # of any class: dask-jobqueue uses the values of the file unchecked
+            what = " ".join(str(error).split()) or type(error).__name__
+            raise ClusterError(f"{file} does not describe a job ({what}): correct its values") from None
+        yield cluster
+
+
+def _watched(job_cls: type, refusals: list[str]) -> type:
+    """The job class, which also adds a sentence to `refusals` for each job that cannot be submitted."""
+    from distributed import Status
+
+    class WatchedJob(job_cls):
+        async def _submit_job(self, script_filename: str) -> str:
+            try:
+                output: str = await super()._submit_job(script_filename)
+            except Exception as error:  # of any class: a missing command, an exit code, or what a system adds
+                said = str(error).rpartition("stderr:")[2].strip() or str(error)
+                lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
+                refusals.append("; ".join(lines[-_LAST_LINES:]) or type(error).__name__)
+                self.status = Status.failed  # otherwise the cluster cannot be closed
+                raise
+            return output
+
+    return WatchedJob
 
 
 def check_cluster_file(file: PathLike) -> bool:
@@ -140,8 +168,13 @@ def _read_cluster_file(file: PathLike) -> tuple[str, dict[str, Any]]:
     ((system, options),) = sections.items()
     if not isinstance(options, dict):
         raise ClusterError(f"{file}: jobqueue.{system} must hold keys like cores, memory and walltime")
+    for key in ("shared-temp-directory", "shared_temp_directory"):
+        if not isinstance(options.get(key), str | None):
+            raise ClusterError(f"{file}: jobqueue.{system}.{key} must be the name of a folder")
     if not isinstance(options.get("scheduler-options", options.get("scheduler_options")), dict | None):
         raise ClusterError(f"{file}: jobqueue.{system}.scheduler-options must hold keys, like host")
+    if not isinstance(options.get("security"), bool | None):
+        raise ClusterError(f"{file}: jobqueue.{system}.security must be true, or left out")
     missing = [key for key in ("cores", "memory") if options.get(key) is None]
     if missing:
         raise ClusterError(f"{file}: jobqueue.{system} needs {' and '.join(missing)} (of one job)")

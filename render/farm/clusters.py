@@ -27,6 +27,7 @@ def connected(
     cluster_file: PathLike | None,
     device: Device,
     keys_folder: PathLike = ".",
+    refusals: list[str] | None = None,
 ) -> Iterator[Client]:
     """A Dask client with workers. Everything that was started for it ends with the block.
 
@@ -39,6 +40,7 @@ def connected(
     scheduler : address of a running scheduler, like ``tcp://host:8786``.
     cluster_file : configuration of dask-jobqueue (YAML with ``jobqueue: slurm: ...``).
     keys_folder : folder that all jobs see, for the certificates of their connections.
+    refusals : gets a sentence for each job that the batch system refuses.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def connected(
         if scheduler:
             client = _joined(scheduler)
         else:
-            client = _started(stack, workers, cluster_file, device, keys_folder)
+            client = _started(stack, workers, cluster_file, device, keys_folder, refusals)
         stack.enter_context(client)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         yield client
@@ -97,11 +99,12 @@ def _started(
     cluster_file: PathLike | None,
     device: Device,
     keys_folder: PathLike,
+    refusals: list[str] | None,
 ) -> Client:
     from distributed import Client
 
     if cluster_file:
-        cluster = stack.enter_context(batch_cluster(cluster_file, keys_folder))
+        cluster = stack.enter_context(batch_cluster(cluster_file, keys_folder, refusals))
         # adapt, unlike scale, submits a new job when the time of a job is up
         cluster.adapt(minimum_jobs=workers or 1, maximum_jobs=workers or 1)
     else:

@@ -81,5 +81,5 @@ def _quieten() -> None:
     import distributed
 
     named = [name for name in logging.root.manager.loggerDict if name.startswith(f"{distributed.__name__}.")]
-    for name in ("distributed", "dask_jobqueue", "tornado", "asyncio", *named):
+    for name in ("distributed", "dask_jobqueue", "tornado", "tornado.application", "asyncio", *named):
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -10,7 +10,7 @@ import logging
 import queue as threads_queue
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -58,6 +58,7 @@ class RenderQueue:
     on_outcome : called with every answer of a worker, and with True if the scene will not be tried again.
     growth_bytes : memory that a worker may grow by before it is replaced.
     patience_s : seconds to wait for a first worker; None waits without limit, because batch jobs may queue.
+    refusals : sentences about jobs that the batch system refused (`render.farm.batch_system`).
     work : function that a worker calls with a job.
     tally : results so far.
     """
@@ -69,6 +70,7 @@ class RenderQueue:
     on_outcome: Callable[[Outcome, bool], None]
     growth_bytes: int = GROWTH_BYTES
     patience_s: float | None = PATIENCE_S
+    refusals: Sequence[str] = ()
     work: Callable[[Job], Outcome] = render_scene
     tally: Tally = field(default_factory=Tally)
 
@@ -142,6 +144,11 @@ class RenderQueue:
             raise QueueError(_LOST)
         if self._workers():
             return time.monotonic()
+        if self.refusals:
+            raise QueueError(
+                f"the batch system refused a job ({self.refusals[0]}): correct the --cluster file, or its "
+                "settings here"
+            )
         if self.patience_s is not None and time.monotonic() - since > self.patience_s:
             raise QueueError(
                 f"no worker has started within {self.patience_s / 60:.0f} minutes: see the workers' logs"

@@ -228,13 +228,14 @@ def _grouped(dataset: Dataset, todo: Sequence[str]) -> list[str]:
 
 
 def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], options: RunOptions) -> Tally:
-    run_id = secrets.token_hex(8)
+    run_id, refusals = secrets.token_hex(8), list[str]()
     connection = connected(
         workers=min(options.workers, len(todo)) if options.workers else None,
         scheduler=options.scheduler,
         cluster_file=options.cluster_file,
         device=settings.device,
         keys_folder=dataset.renders.resolve(),
+        refusals=refusals,
     )
     with connection as client, showing_progress(len(todo), "scene", "render", show=options.progress) as bar:
         inventory, failed = Inventory(dataset, settings), 0
@@ -253,7 +254,7 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
 
         queue = RenderQueue(client, dataset, settings, run_id, note, options.growth_bytes)
         if options.cluster_file:
-            queue.patience_s = None
+            queue.patience_s, queue.refusals = None, refusals
         try:
             return queue.run(_grouped(dataset, todo))
         finally:
