@@ -50,7 +50,10 @@ def test_summary_gives_average_population_deviation_and_extremes_and_skips_what_
     assert summary.depth_mae_m.mean == pytest.approx((a + b) / 2)
     assert summary.depth_mae_m.std == pytest.approx((b - a) / 2)
     assert (summary.depth_mae_m.min, summary.depth_mae_m.max) == pytest.approx((a, b))
+    # Of two values, half their difference: the deviation of the sample, (b - a) / sqrt(2), over sqrt(2).
+    assert summary.depth_mae_m.standard_error == pytest.approx((b - a) / 2)
     assert summary.object_mae_m.count == 1
+    assert summary.object_mae_m.standard_error is None
     assert summarise(both[1:]).object_mae_m is None
     with pytest.raises(ValueError, match="no images"):
         summarise([])

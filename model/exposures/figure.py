@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from model.exposures.results import ExposureReport
+from model.network.metrics import Statistics
 from model.prediction.figures import write_figure
 
 _BLUE, _ORANGE, _GREY = "#0b6fb8", "#d9730d", "#5f6770"
@@ -24,14 +26,14 @@ def write_exposure_figure(file: Path, report: ExposureReport) -> None:
         (
             error,
             [100 * row.metrics.depth_mae_m.mean for row in rows],
-            [100 * row.metrics.depth_mae_m.standard_error for row in rows],
+            [100 * _bar(row.metrics.depth_mae_m) for row in rows],
             *(100 * each.depth_mae_m.mean for each in (report.perfect, report.no_object)),
             "MAE, cm",
         ),
         (
             overlap,
             [row.metrics.miou.mean for row in rows],
-            [row.metrics.miou.standard_error for row in rows],
+            [_bar(row.metrics.miou) for row in rows],
             *(each.miou.mean for each in (report.perfect, report.no_object)),
             "mIoU",
         ),
@@ -54,3 +56,8 @@ def write_exposure_figure(file: Path, report: ExposureReport) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color="#dde1e6", linewidth=0.6)
     write_figure(file, figure)
+
+
+def _bar(found: Statistics) -> float:
+    """Length of an error bar; NaN, which is not drawn, if one scene does not tell it."""
+    return math.nan if found.standard_error is None else found.standard_error

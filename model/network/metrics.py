@@ -60,9 +60,9 @@ class Statistics:
         return cls(float(x.mean()), float(x.std()), float(x.min()), float(x.max()), len(x))
 
     @property
-    def standard_error(self) -> float:
-        """Of the mean."""
-        return self.std / math.sqrt(self.count)
+    def standard_error(self) -> float | None:
+        """Of the mean, without bias: `std` over the root of `count` - 1. One value does not tell it: None."""
+        return self.std / math.sqrt(self.count - 1) if self.count > 1 else None
 
 
 @dataclass(frozen=True)

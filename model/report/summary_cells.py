@@ -8,7 +8,7 @@ NUMBERS = ("MAE cm", "mIoU", "object MAE cm")
 
 
 def summary_cells(summary: Summary) -> tuple[str, str, str]:
-    """MAE, mIoU and object MAE with their standard errors; ``-`` where no image has the number."""
+    """MAE, mIoU and object MAE with their standard errors; ``-`` where nothing tells the number."""
     cells = []
     for found, factor, digits in (
         (summary.depth_mae_m, 100, 2),
@@ -18,5 +18,7 @@ def summary_cells(summary: Summary) -> tuple[str, str, str]:
         if found is None:
             cells.append("-")
         else:
-            cells.append(f"{factor * found.mean:.{digits}f} ± {factor * found.standard_error:.{digits}f}")
+            error = found.standard_error
+            told = "-" if error is None else f"{factor * error:.{digits}f}"
+            cells.append(f"{factor * found.mean:.{digits}f} ± {told}")
     return cells[0], cells[1], cells[2]

@@ -43,7 +43,7 @@ def hidden_start_m(dataset: Dataset, scene: Scene, layout: TransientLayout, row:
 
     Light from the projector e reaches a point s of the hidden object over the wall, so its way is at least
     that from the mirror image of e straight to s. From s it goes to a point w of the wall in the pixel, and
-    from there to the camera. This is the minimum of |e' - s| + |s - w| over the object, less twice the
+    from there to the camera. This is the minimum of |e' - s| + |s - w| over the object, less the
     extent of the pixel on the wall, plus the shortest way to the camera. Further bounces make the way longer.
 
     Raises
