@@ -19,6 +19,7 @@ from model.capture.record import read_import_record, record_path
 from model.capture.sidecar import CaptureError
 from model.prediction.array_claims import RefusedError
 from model.prediction.measurement_child import read_arrays
+from scenegen import sha256_of
 
 PHASOR = wall_of_plane().direct
 RAW = taps_of(PHASOR, steps(4), steps(2))[None]
@@ -99,6 +100,25 @@ def test_a_record_that_is_no_file_or_huge_is_not_read(corner):
     with record_path(corner).open("wb") as stream:
         stream.truncate(2**40)  # without blocks on the disk
     assert read_import_record(corner) is None
+
+
+def test_a_record_has_the_checksums_of_all_files(tmp_path):
+    np.savez(tmp_path / "frames.npz", raw=RAW)
+    np.savez(tmp_path / "corner.npz", raw=2 * RAW)
+    np.savez(tmp_path / "dark.npz", dark=0 * RAW)
+    sidecar = write_sidecar(tmp_path / "sidecar.toml", dark_arrays=["dark"], dark_file="dark.npz")
+    made = import_capture(
+        tmp_path / "frames.npz",
+        sidecar,
+        tmp_path / "out.npz",
+        empty=tmp_path / "corner.npz",
+        progress=False,
+    )
+    record = read_import_record(made.out)
+    found = [(record.inputs, "frames"), (record.empty_inputs, "corner"), (record.dark_inputs, "dark")]
+    for files, name in found:
+        file = (tmp_path / f"{name}.npz").resolve()
+        assert files == {str(file): sha256_of(file)}
 
 
 # Pictures
