@@ -193,7 +193,7 @@ def test_two_processes_do_not_make_scenes_in_one_folder(maker, tmp_path):
     assert sorted(entry.name for entry in made.root.iterdir()) == ["dataset.json", "scenes"]
 
 
-def test_a_refused_preset_leaves_no_folder(maker, tmp_path):
+def test_a_refused_preset_leaves_no_folder(tmp_path):
     class NoRoom:
         version = "1"
 
@@ -203,6 +203,10 @@ def test_a_refused_preset_leaves_no_folder(maker, tmp_path):
     with pytest.raises(SamplingError):
         generate(tmp_path / "data", of_seed_5(1), NoRoom(), lambda: None)
     assert not (tmp_path / "data").exists()
+    (tmp_path / "data").mkdir()  # the user's own
+    with pytest.raises(SamplingError):
+        generate(tmp_path / "data", of_seed_5(1), NoRoom(), lambda: None)
+    assert (tmp_path / "data").is_dir()
 
 
 def test_the_index_says_by_what_the_scenes_were_made(maker, tmp_path):

@@ -51,8 +51,8 @@ def batch_cluster(
 
     Raises
     ------
-    ClusterError : the file is missing or not YAML, does not have exactly one system, has unknown keys or
-        values that do not make a job, or the system's command is not installed here.
+    ClusterError : the file is missing or not YAML, does not have exactly one system, or has unknown keys or
+        values that do not make a job.
     """
     cls, given = _checked_cluster_file(file)
     folder = given.pop("shared_temp_directory", None) or keys_folder

@@ -28,7 +28,7 @@ def alone_in(root: Path) -> Iterator[None]:
     """Be the only process that makes scenes in the folder `root`, which is made if it is missing.
 
     Two processes would remove each other's scenes as those of an interrupted run. The lock is that of the
-    folder itself, so it leaves no file. A folder that is still empty at the end is removed.
+    folder itself, so it leaves no file. A folder that was made here and is still empty at the end is removed.
 
     Raises
     ------
@@ -37,15 +37,19 @@ def alone_in(root: Path) -> Iterator[None]:
     if os.path.lexists(root) and not root.is_dir():
         yield  # `check_target` refuses it
         return
+    is_new = not root.exists()
     root.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
         if not lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):
             raise DatasetError(f"another night-gen is making scenes in {root}: wait until it has ended")
-        yield
+        try:
+            yield
+        finally:
+            if is_new:
+                with suppress(OSError):
+                    root.rmdir()  # fails if anything is in it
     finally:
-        with suppress(OSError):
-            root.rmdir()  # fails if anything is in it
         os.close(descriptor)
 
 
