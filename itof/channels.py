@@ -130,7 +130,7 @@ def phasors_of_residual(
 
     Returns
     -------
-    (..., H, W, F) complex.
+    (..., H, W, F) complex; 0 in pixels without light.
 
     Raises
     ------
@@ -145,10 +145,11 @@ def phasors_of_residual(
             f"expected {2 * count - 1}"
         )
     imaginary = c[..., :count]  # (..., H, W, F)
-    first = xp.sqrt(1 - imaginary[..., :1] ** 2)  # Re r_0, (..., H, W, 1)
+    # Re r_0, (..., H, W, 1); rounding may put |Im r_0| just above 1.
+    first = xp.sqrt(xp.clip(1 - imaginary[..., :1] ** 2, 0, 1))
     real = xp.concat([first, first + c[..., count:]], axis=-1)
     known = _weighted(known, xp.asarray(amplitude), weights)
-    brightness = xp.asarray(amplitude)[..., None] / xp.abs(known[..., :1])
+    brightness = quotient(xp, xp.asarray(amplitude)[..., None], xp.abs(known[..., :1]))
     return (real + 1j * imaginary) * known * brightness
 
 

@@ -119,7 +119,7 @@ def read_image(path: str | os.PathLike[str], *, advice: str = "") -> Image:
     """
     with closing(ExrInput(Path(path), advice)) as file:
         found = file.structure
-        if shortage := memory_shortage(found.float_bytes):
+        if shortage := memory_shortage(found.float_bytes + found.unpacking_bytes):
             raise ImageFileError(f"{path} {shortage}")
         names = list(found.channels)
         return Image(dict(zip(names, file.rows(names, 0, found.height), strict=True)), file.texts)

@@ -78,6 +78,7 @@ class ExrStructure:
     texts : attributes of type string, by name.
     first_column, first_row : corner of the data window.
     width, height : size of the data window, pixels.
+    chunk_lines : rows that are packed together, and therefore unpacked together.
     """
 
     channels: dict[str, str]
@@ -86,6 +87,18 @@ class ExrStructure:
     first_row: int
     width: int
     height: int
+    chunk_lines: int
+
+    @property
+    def row_bytes(self) -> int:
+        """Size of a row of all channels, unpacked."""
+        types = dict(_PIXEL_TYPES.values())
+        return self.width * sum(types[kind] for kind in self.channels.values())
+
+    @property
+    def unpacking_bytes(self) -> int:
+        """Memory that OpenEXR needs to unpack one chunk: about twice its size (measured with PIZ)."""
+        return 2 * self.row_bytes * min(self.chunk_lines, self.height)
 
     @property
     def float_bytes(self) -> int:
@@ -111,9 +124,7 @@ def read_structure(stream: BinaryIO) -> ExrStructure:
         if attributes.get(name, ("", b""))[0] != kind:
             raise ImageFileError(f"its header has no attribute {name} of type {kind}")
     found = _checked(attributes)
-    types = dict(_PIXEL_TYPES.values())
-    row_bytes = found.width * sum(types[kind] for kind in found.channels.values())
-    _check_chunks(stream, size, found, attributes["compression"][1][0], row_bytes)
+    _check_chunks(stream, size, found, attributes["compression"][1][0], found.row_bytes)
     return found
 
 
@@ -179,8 +190,9 @@ def _checked(attributes: dict[str, tuple[str, bytes]]) -> ExrStructure:
         first_row=top,
         width=right - left + 1,
         height=bottom - top + 1,
+        chunk_lines=_CHUNK_LINES[values["compression"][0]],
     )
-    chunks = -(-found.height // _CHUNK_LINES[values["compression"][0]])
+    chunks = -(-found.height // found.chunk_lines)
     if values.get("chunkCount", struct.pack("<i", chunks)) != struct.pack("<i", chunks):
         raise ImageFileError("its attribute chunkCount does not fit its height")
     return found

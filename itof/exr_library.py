@@ -10,10 +10,11 @@ from __future__ import annotations
 import errno
 import os
 import re
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import Imath
 import numpy as np
@@ -121,8 +122,10 @@ class ExrInput:
 
     def __init__(self, path: Path, advice: str = "") -> None:
         self._path, self._advice = path, advice
-        if not path.is_file():
-            raise ImageFileError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}")
+        with self._errors():
+            is_there, is_folder = path.is_file(), path.is_dir()  # fail in a folder that cannot be searched
+        if not is_there:
+            raise ImageFileError(f"{path} {'is a folder' if is_folder else 'does not exist'}")
         with self._errors(), path.open("rb") as stream:
             self.structure = read_structure(stream)
             self._file = OpenEXR.InputFile(_name_of(stream, path))
@@ -151,7 +154,7 @@ class ExrInput:
     def _errors(self) -> Iterator[None]:
         """Every error of reading as an `ImageFileError` of one sentence."""
         try:
-            with _silence():
+            with _silence:
                 yield
         except MemoryError:
             raise ImageFileError(f"{self._path} does not fit into the memory that is free") from None
@@ -186,19 +189,41 @@ def _name_of(stream: BinaryIO, path: Path) -> str:
     return name if Path(name).exists() else str(path)
 
 
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Discard what OpenEXR prints on stderr; where stderr is closed, there is nothing to discard."""
+class _SilentStderr:
+    """Discards what OpenEXR prints on stderr while any thread is in the block.
+
+    The first thread that enters redirects the descriptor, and the last one that leaves gives it back. Where
+    stderr is closed, there is nothing to discard.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside, self._kept = 0, -1
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._kept = _redirected_stderr()
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0 and self._kept >= 0:
+                os.dup2(self._kept, 2)
+                os.close(self._kept)
+
+
+def _redirected_stderr() -> int:
+    """Redirect stderr to nowhere; a descriptor of where it went, or -1 if it is closed."""
     try:
         kept = os.dup(2)
     except OSError:
-        yield
-        return
+        return -1
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     os.close(nowhere)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+    return kept
+
+
+_silence: Final = _SilentStderr()

@@ -28,6 +28,7 @@ _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every tra
 # In the Python module of OpenEXR, the place of a row in the image, in bytes, is an int. Beyond it, writing
 # crashes the process (OpenEXR 3.5.3); reading does not.
 MOST_WRITTEN_BYTES = 2**31 - 1
+_COPIES = 3  # of the phasors: in blocks, joined, and for what follows
 _MOST_BINS = 10_000_000  # as in presets; phasors need numbers for every bin
 _READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (docs/design.md, Transient files)
 
@@ -175,7 +176,8 @@ class TransientReader:
             raise self._file.refusal(
                 f"{self.path} has {found.width} values in a row: no whole pixels of {bin_count} bins"
             )
-        if shortage := memory_shortage(4 * found.width * min(found.height, layout.rows_per_block)):
+        block_bytes = 4 * found.width * min(found.height, layout.rows_per_block)
+        if shortage := memory_shortage(block_bytes + found.unpacking_bytes):
             raise ImageFileError(f"{self.path} {shortage}")
         return layout
 
@@ -213,8 +215,15 @@ class TransientReader:
         """(H, W, F) iToF phasors Φ x of the file; only one block of rows is in memory at a time.
 
         They are divided by the transfer function of the file's `splat`.
+
+        Raises
+        ------
+        ImageFileError : the file is damaged, or the phasors do not fit into memory.
         """
         axis = self.layout
+        phasor_bytes = axis.width * axis.height * len(frequencies_hz) * np.dtype(np.complex128).itemsize
+        if shortage := memory_shortage(phasor_bytes, copies=_COPIES):
+            raise ImageFileError(f"{self.path} {shortage}")
         phi = MeasurementMatrix(
             tuple(frequencies_hz),
             axis.bin_count,

@@ -6,6 +6,7 @@ import json
 
 from pydantic import TypeAdapter
 
+from itof.sensor.demodulation import wiggling
 from itof.sensor.settings import SensorSettings
 from scenegen import Dataset, PathLike, PresetError, read_settings
 from scenegen.contract import checked
@@ -39,6 +40,9 @@ def view_problem(settings: SensorSettings, dataset: Dataset, width: int, height:
         )
     try:
         settings.binning(width, height)
+        if settings.wiggling_left < 1:
+            for frequency_hz in dataset.preset.itof.frequencies_hz:
+                wiggling(settings, frequency_hz)
     except ValueError as error:
         return f"the camera cannot measure {dataset.root}: {error}"
     return None

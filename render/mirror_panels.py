@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from itof import pixel_rays
 from render.backend import Device, select_variant
 from render.products.conversion import ExportError, exported_file
 from render.products.panels_figure import panels_figure
@@ -66,7 +67,8 @@ def render_mirror_panels(
 
     Raises
     ------
-    RenderError : the camera looks straight at the wall, or it is much higher than wide.
+    RenderError : the camera looks so straight at the wall that some pixels see the light, or it is much
+        higher than wide.
     NightError : a file of the scene is missing or damaged.
     BackendError : this machine cannot render on the device.
     """
@@ -120,15 +122,16 @@ def _lit_by_the_sky(description: Description, scene: Scene, size: tuple[int, int
 
 def _along_the_wall(scene: Scene) -> NDArray[np.float64]:
     """(3,) the camera's direction of view, projected on the relay wall; its mirror image has the same."""
-    forward, normal = camera_axes(scene.camera)[2], wall_normal(scene.relay_wall)
-    along = forward - (forward @ normal) * normal
-    length = np.linalg.norm(along)
-    if length < 1e-3:
+    axes, normal = camera_axes(scene.camera), wall_normal(scene.relay_wall)
+    along = axes[2] - (axes[2] @ normal) * normal
+    camera = scene.camera
+    rays = pixel_rays(camera.width, camera.height, camera.horizontal_fov_deg) @ axes
+    if (rays @ along).min() <= 0:
         raise RenderError(
-            f"scene {scene.id}: the camera looks straight at the relay wall and would see its own light in "
-            "the mirror, so there is no picture of the mirror trick"
+            f"scene {scene.id}: the camera looks straight at the relay wall, or nearly so, and would see its "
+            "own light in the mirror, so there is no picture of the mirror trick"
         )
-    return along / length
+    return np.asarray(along / np.linalg.norm(along))
 
 
 def _half_sky(ahead: NDArray[np.float64]) -> NDArray[np.float32]:

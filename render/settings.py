@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from itof import MOST_WRITTEN_BYTES, TransientLayout
+from itof.machine_memory import machine_bytes
 from render.backend import Device
 from render.options import (
     ManyLightOptions,
@@ -18,6 +18,7 @@ from render.options import (
     recorded_options,
 )
 from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, NightError, RenderingRecord
+from scenegen.preset import MOST_BOUNCES
 
 Product = Literal["transient", "itof", "both"]
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
@@ -47,7 +48,7 @@ class RenderSettings:
 
     Raises
     ------
-    RenderError : an unknown product.
+    RenderError : an unknown product, or a number of bounces that cannot be rendered.
     """
 
     product: Product = "itof"
@@ -61,6 +62,8 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.product not in PRODUCTS:
             raise RenderError(f"unknown product {self.product}: choose one of {', '.join(PRODUCTS)}")
+        if self.max_bounces is not None and not 1 <= self.max_bounces <= MOST_BOUNCES:
+            raise RenderError(f"between 1 and {MOST_BOUNCES} bounces are rendered, got {self.max_bounces}")
 
     @property
     def method(self) -> str:
@@ -105,7 +108,8 @@ class RenderSettings:
 
     def bounces(self, dataset: Dataset) -> int:
         """Most surfaces that light may meet."""
-        return self.max_bounces or dataset.preset.transient.max_bounces
+        own = dataset.preset.transient.max_bounces
+        return own if self.max_bounces is None else self.max_bounces
 
     def recipe(self, dataset: Dataset, scene_sha256: str) -> str:
         """Everything that determines the pixels of a scene, as JSON. Equal recipes give equal renders.
@@ -199,7 +203,7 @@ def _check_file_size(layout: TransientLayout) -> None:
 def _check_memory(layout: TransientLayout) -> None:
     """Refuse, before rendering starts, a time axis so long that one image row does not fit into memory."""
     needed = _WORKING_COPIES * 4 * layout.width * layout.bin_count
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = machine_bytes()
     if needed > memory or layout.width * layout.bin_count >= 2**31:
         raise RenderError(
             f"one image row of {layout.width} pixels x {layout.bin_count} bins needs {needed / 1e9:.2g} GB "

@@ -161,6 +161,13 @@ def test_residual_channels_and_the_amplitude_give_the_phasors_back():
     again = phasors_of_residual(residual_channels(z, reference), reference, np.abs(z[..., 0]))
     # Channels are float32: 6e-8 of their size, 2e-3, against phasors of size 1.
     np.testing.assert_allclose(again, z, rtol=0, atol=1e-9)
+    z[1, 2] = 0  # a dead pixel
+    again = phasors_of_residual(residual_channels(z, reference), reference, np.abs(z[..., 0]))
+    assert np.isfinite(again).all()
+    assert not again[1, 2].any()
+    above = residual_channels(z, reference)
+    above[0] = np.nextafter(np.float32(1), np.float32(2))  # Im r_0, rounded
+    assert np.isfinite(phasors_of_residual(above, reference, np.abs(z[..., 0]))).all()
     with pytest.raises(ValueError, match="3 residual channels do not fit a reference at 3 frequencies"):
         phasors_of_residual(np.zeros((3, 6, 8)), reference, np.abs(z[..., 0]))
 

@@ -3,7 +3,9 @@
 import os
 import resource
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -20,6 +22,7 @@ from itof import (
     write_image,
 )
 from itof.exr_header import read_structure
+from itof.machine_memory import limit_files
 
 
 def put(name, at, value):
@@ -211,14 +214,53 @@ def test_what_does_not_fit_into_memory_is_refused_by_its_size(tmp_path, monkeypa
     write_image(tmp_path / "image.exr", {"Y": np.zeros((64, 64))}, {})
     with TransientWriter(tmp_path / "t.exr", TransientLayout(8, 4, 100, 0.01, 0.0), {}) as writer:
         writer.write_rows(np.zeros((4, 8, 100)))
-    monkeypatch.setattr("itof.machine_memory.machine_bytes", lambda: 2 * 64 * 64 * 4 - 1)
-    with pytest.raises(ImageFileError, match=r"claims 16 KiB of memory, and this machine has 32 KiB"):
+    image_bytes, block_bytes = 64 * 64 * 4, 4 * 8 * 100 * 4
+    row_bytes = (2 * 64 * 4, 2 * 8 * 100 * 4)  # OpenEXR unpacks a row, with twice its size
+    monkeypatch.setattr("itof.machine_memory.machine_bytes", lambda: 2 * (image_bytes + row_bytes[0]) - 1)
+    with pytest.raises(ImageFileError, match=r"claims 16\.5 KiB of memory, and this machine has 33 KiB"):
         read_image(tmp_path / "image.exr")
+    monkeypatch.setattr("itof.machine_memory.machine_bytes", lambda: 2 * (block_bytes + row_bytes[1]))
     with TransientReader(tmp_path / "t.exr") as reader:  # a block of it fits
         assert reader.read_rows(0, 4).shape == (4, 8, 100)
+        assert reader.phasors([20e6]).shape == (4, 8, 1)
+        with pytest.raises(ImageFileError, match=r"t\.exr claims 7\.5 KiB of memory"):
+            reader.phasors([20e6 + hz for hz in range(15)])  # 16 bytes, 15 frequencies, 32 pixels, 3 times
     monkeypatch.setattr("itof.machine_memory.machine_bytes", lambda: 5000)
-    with pytest.raises(ImageFileError, match=r"claims 12\.5 KiB of memory"):
+    with pytest.raises(ImageFileError, match=r"claims 18\.8 KiB of memory"):
         TransientReader(tmp_path / "t.exr")
+
+
+@pytest.mark.parametrize(("compression", "together"), [("ZIPS", 1), ("ZIP", 16), ("PIZ", 32)])
+def test_rows_that_are_packed_together_are_unpacked_together(tmp_path, compression, together):
+    with write_exr(tmp_path / "a.exr", compression).open("rb") as stream:
+        found = read_structure(stream)
+    assert found.chunk_lines == together
+    assert found.unpacking_bytes == 2 * found.row_bytes * min(together, found.height)
+
+
+def test_limits_of_a_job_are_those_of_its_group_and_of_all_above_it():
+    second = limit_files("0::/slurm/job_7/step_0\n")
+    assert Path("/sys/fs/cgroup/slurm/job_7/step_0/memory.max") in second
+    assert Path("/sys/fs/cgroup/slurm/memory.max") in second
+    assert Path("/sys/fs/cgroup/memory.max") in second
+    first = limit_files("5:devices:/other\n4:cpu,memory:/slurm/job_7\n0::/\n")
+    assert Path("/sys/fs/cgroup/memory/slurm/job_7/memory.limit_in_bytes") in first
+    assert not any("other" in str(file) for file in first)
+    assert not any(".." in str(file) for file in limit_files("0::/../../etc\n"))
+    assert limit_files("")
+
+
+def test_a_name_that_the_system_refuses_is_an_error_of_the_image(tmp_path):
+    with pytest.raises(ImageFileError, match="cannot be read: File name too long"):
+        read_image(tmp_path / ("n" * 300))
+
+
+def test_reading_in_several_threads_gives_stderr_back(tmp_path):
+    write_image(tmp_path / "image.exr", {"Y": np.zeros((8, 8))}, {})
+    before = os.fstat(2)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: read_image(tmp_path / "image.exr"), range(200)))
+    assert os.path.samestat(os.fstat(2), before)
 
 
 @pytest.mark.parametrize(

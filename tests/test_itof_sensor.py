@@ -121,6 +121,17 @@ def test_a_calibration_takes_the_wiggling_out_as_far_as_it_is_known():
     assert 0.8 < spread / np.std(np.angle(captured(sinus, z).phasor / z)) < 1.3
 
 
+def test_a_waveform_that_no_calibration_undoes_is_refused():
+    z = scene(size=(36, 48))
+    settings = replace(SQUARE, width=48, height=36, highest_harmonic=9, wiggling_left=0.0)
+    for duty in (0.5, 0.25):
+        # Linear between the entries of the table: the curvature of the error grows towards its fold.
+        np.testing.assert_allclose(captured(replace(settings, emitter_duty=duty), z).phasor, z, rtol=2e-5)
+    for duty in (0.15, 0.1):  # the measured phase goes back where that of the light goes on
+        with pytest.raises(ValueError, match="light of several phases gives the same measured phase"):
+            captured(replace(settings, emitter_duty=duty), z)
+
+
 def test_harmonics_of_waveforms():
     assert harmonics(replace(SQUARE, reference_waveform="sinusoidal"), 50e6) == {1: 1.0}
     found = harmonics(replace(SQUARE, highest_harmonic=9), 50e6)
@@ -327,6 +338,8 @@ def test_sensor_files_with_mistakes_are_refused_by_their_key(tmp_path):
         ("contrast = [[60e6, 0.5], [20e6, 0.6]]", "the frequencies must ascend, each once"),
         ("contrast = [[20e6, 1.5]]", "contrast"),
         ("adc_bits = 12", "adc_bits and adc_e_per_dn go together"),
+        ("scattering = 0.1\nscattering_width = 1e6", "scattering_width: Input should be less than or equal"),
+        ("distortion = [-0.5, 0.0]", "folds the image before the corners"),
         ("phase_steps = 2", "phase_steps: Input should be greater than or equal to 3"),
         ("integration_s = nan", "integration_s"),
         ("width = [", "cannot be read as TOML"),

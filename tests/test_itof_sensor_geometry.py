@@ -10,8 +10,8 @@ from scipy.ndimage import convolve
 from itof import phase_per_metre, pixel_rays
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.camera import Camera
-from itof.sensor.geometry import distorted, moved, with_lamp
-from itof.sensor.settings import SensorSettings
+from itof.sensor.geometry import distorted, moved, undistorted, with_lamp
+from itof.sensor.settings import SensorSettings, largest_radius, largest_seen_radius
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 
@@ -77,6 +77,26 @@ def test_a_distorting_lens_shows_a_ray_where_its_polynomial_says(distortion):
     assert inside.mean() > 0.6
     np.testing.assert_allclose(found[inside], expected[inside], atol=3e-6)
     assert np.abs(found - light(x, y)).max() > 5e-3
+
+
+@pytest.mark.parametrize("distortion", [(-0.3, 0.05), (-0.3, 0.0), (0.5, -0.02), (1.0, 1.0), (0.0, 0.0)])
+def test_radii_are_found_up_to_where_the_lens_folds(distortion):
+    true = np.linspace(0, min(largest_radius(distortion), 5.0), 1000)
+    seen = true * (1 + distortion[0] * true**2 + distortion[1] * true**4)
+    assert (np.diff(seen) > 0).all()
+    # At the fold the slope is 0, so that rounding of the radius seen moves the ray by its root.
+    np.testing.assert_allclose(undistorted(seen, distortion), true, atol=1e-6)
+    if np.isfinite(largest_radius(distortion)):
+        assert seen.max() == pytest.approx(largest_seen_radius(distortion), rel=1e-3)
+        beyond = 1.01 * largest_radius(distortion)
+        assert beyond * (1 + distortion[0] * beyond**2 + distortion[1] * beyond**4) < seen.max()
+
+
+@pytest.mark.parametrize(("distortion", "fov_deg"), [((-0.5, 0.0), 60.0), ((-0.3, 0.0), 100.0)])
+def test_a_lens_that_folds_its_image_is_refused(distortion, fov_deg):
+    with pytest.raises(ValueError, match="folds the image before the corners"):
+        replace(SMALL, distortion=distortion, horizontal_fov_deg=fov_deg)
+    replace(SMALL, distortion=distortion, horizontal_fov_deg=fov_deg / 2)
 
 
 @pytest.mark.parametrize(

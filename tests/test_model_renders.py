@@ -119,6 +119,15 @@ def test_measurement_and_truth_of_different_sizes_are_refused(dataset):
         open_shards(dataset)
 
 
+@pytest.mark.parametrize("change", [lambda depth: depth + np.float32(1), lambda depth: 0 * depth])
+def test_a_depth_beside_the_mask_is_no_ground_truth(dataset, change):
+    edit_image(dataset.render_folder("000002") / "mirrored.exr", depth_R=change)
+    with pytest.raises(
+        ShardError, match=r"000002: .* needs a depth where its mask shows the object, and 0 else"
+    ):
+        open_shards(dataset)
+
+
 def test_foreign_images_are_refused_by_name(dataset):
     path = dataset.render_folder("000000") / "mirrored.exr"
     truth = read_image(path)

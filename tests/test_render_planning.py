@@ -95,6 +95,12 @@ def test_settings_survive_the_way_through_rendering_json(dataset):
     assert settings_of(note, dataset) == given
 
 
+@pytest.mark.parametrize("bounces", [0, -1, 65])
+def test_bounces_that_cannot_be_rendered_are_refused(bounces):
+    with pytest.raises(RenderError, match="between 1 and 64 bounces are rendered"):
+        RenderSettings(max_bounces=bounces)
+
+
 def test_points_are_given_or_chosen_for_an_error_not_both(dataset):
     assert settings_for(dataset, {"lights": 64}).options == ManyLightOptions(lights=64)
     assert settings_for(dataset, {"error": 0.05}).options == ManyLightOptions(error=0.05)

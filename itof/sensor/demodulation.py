@@ -110,17 +110,39 @@ def calibrated(
 
     Light of the phase φ is measured as W(φ) exp(j φ). A table of W over the measured phase gives phase and
     amplitude back, which is exact for light without noise; the part `wiggling_left` of both errors stays.
+
+    Raises
+    ------
+    ValueError : as `wiggling`.
     """
     if settings.wiggling_left == 1 or len(harmonics(settings, frequency_hz)) == 1:
         return phasor
+    seen, error = wiggling(settings, frequency_hz)
+    known = np.interp(np.angle(phasor), seen, np.log(error), period=2 * np.pi)
+    return np.asarray(phasor * np.exp((settings.wiggling_left - 1) * known))
+
+
+def wiggling(
+    settings: SensorSettings, frequency_hz: float
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Measured phases of light at ascending phases, radians, and its measured over its true phasors.
+
+    Raises
+    ------
+    ValueError : two phases of the light give the same measured phase, which no calibration can undo.
+    """
     angle = np.linspace(-np.pi, np.pi, _TABLE + 1)
     light = np.exp(1j * angle)
     error = (
         phasor_of_differences(settings, tap_differences(settings, light, frequency_hz), frequency_hz) / light
     )
-    seen = angle + np.angle(error)  # ascends
-    known = np.interp(np.angle(phasor), seen, np.log(error), period=2 * np.pi)
-    return np.asarray(phasor * np.exp((settings.wiggling_left - 1) * known))
+    seen = angle + np.unwrap(np.angle(error))
+    if (np.diff(seen) <= 0).any():
+        raise ValueError(
+            f"light of several phases gives the same measured phase at {frequency_hz / 1e6:g} MHz, which no "
+            "calibration undoes: use a larger emitter_duty or more phase_steps, or set wiggling_left to 1"
+        )
+    return seen, error
 
 
 def _steps(settings: SensorSettings) -> Any:

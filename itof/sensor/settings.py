@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field
@@ -28,6 +29,23 @@ def _ascending(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, flo
 ContrastTable = Annotated[
     tuple[tuple[Positive, PositivePart], ...], Field(min_length=1), AfterValidator(_ascending)
 ]
+
+
+def largest_radius(distortion: tuple[float, float]) -> float:
+    """Radius r up to which r (1 + k1 r² + k2 r⁴) grows; infinite if it always does."""
+    k1, k2 = distortion
+    # The slope 1 + 3 k1 s + 5 k2 s² for s = r² is 0; with u = 1 / s it is u² + 3 k1 u + 5 k2.
+    inside = 9 * k1**2 - 20 * k2
+    largest = (-3 * k1 + math.sqrt(inside)) / 2 if inside >= 0 else 0.0
+    return 1 / math.sqrt(largest) if largest > 0 else math.inf
+
+
+def largest_seen_radius(distortion: tuple[float, float]) -> float:
+    """Radius at which a lens shows the ray of `largest_radius`; infinite if there is none."""
+    radius = largest_radius(distortion)
+    return (
+        radius * (1 + distortion[0] * radius**2 + distortion[1] * radius**4) if radius < math.inf else radius
+    )
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
@@ -78,8 +96,8 @@ class SensorSettings:
 
     Raises
     ------
-    ValueError : a value out of its bounds, frequencies that do not ascend, or one of the two settings of the
-        converter without the other.
+    ValueError : a value out of its bounds, frequencies that do not ascend, one of the two settings of the
+        converter without the other, or a distortion that folds the image.
     """
 
     width: Pixels = 640
@@ -92,7 +110,7 @@ class SensorSettings:
     lens_transmission: PositivePart = 1.0
     vignetting: NotNegative = 0.0
     scattering: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    scattering_width: Positive = 0.2
+    scattering_width: Annotated[float, Field(gt=0, le=10)] = 0.2
     distortion: tuple[Strength, Strength] = (0.0, 0.0)
     emitter_offset_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     motion_m_s: Annotated[float, Field(ge=-10, le=10)] = 0.0
@@ -127,6 +145,13 @@ class SensorSettings:
     def __post_init__(self) -> None:
         if (self.adc_bits is None) != (self.adc_e_per_dn is None):
             raise ValueError("adc_bits and adc_e_per_dn go together: give both or neither")
+        half_width = math.tan(math.radians(self.horizontal_fov_deg) / 2)
+        if half_width * math.hypot(1, self.height / self.width) > largest_seen_radius(self.distortion):
+            raise ValueError(
+                f"a lens of the distortion {', '.join(f'{k:g}' for k in self.distortion)} folds the image "
+                f"before the corners of a field of view of {self.horizontal_fov_deg:g} degrees: give other "
+                "coefficients"
+            )
 
     def binning(self, width: int, height: int) -> int:
         """Sensor pixels per side of a pixel of an image.

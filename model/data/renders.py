@@ -156,6 +156,11 @@ def _ground_truth(scene: str, file: Path, frequency_hz: float) -> DepthMap:
     except ImageFileError as error:
         raise ShardError(f"scene {scene}: {file} {error}: {RENDER_AGAIN}") from None
     _refuse_other_frequencies(scene, file, (truth.frequency_hz,), (frequency_hz,))
+    if ((truth.radial_depth_m > 0) != truth.mask).any():
+        raise ShardError(
+            f"scene {scene}: {file} needs a depth where its mask shows the object, and 0 elsewhere: "
+            f"{RENDER_AGAIN}"
+        )
     return truth
 
 
