@@ -25,6 +25,7 @@ from itof import DepthMap
 from model.data.feed import Feed
 from model.data.shards import open_shards
 from model.network.metrics import ImageMetrics, image_metrics
+from model.network.wall_view import wall_view
 from model.prediction.expected_error import probabilities
 from model.prediction.figures import BACKGROUND, depth_range, write_figure
 from model.prediction.predictor import BATCH, load
@@ -87,10 +88,14 @@ def predicted(run: str, folder: Path) -> list[Shown]:
     """All test scenes of a dataset with their predictions, in the order of the dataset."""
     dataset, predictor = open_dataset(folder), load(run)
     shards = open_shards(dataset)
+    predictor = predictor.at(wall_view(dataset))
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
     shown = []
     for block in Feed(shards, shards.rows("test"), window_rows=0).in_order(BATCH):
-        found = predictor.predict(block.complex_phasors()[..., places])
+        found = predictor.predict(
+            block.complex_phasors()[..., places],
+            fields_of_view_deg=shards.fields_of_view_deg(block.rows),
+        )
         for index, scene_id in enumerate(shards.ids(block.rows)):
             truth = DepthMap.of_object(
                 block.radial_depth_m[index], block.mask[index] > 0, predictor.config.readout.frequency_hz

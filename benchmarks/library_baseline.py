@@ -39,7 +39,10 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", required=True, help="sizes of the library")
     parser.add_argument("--neighbours", type=int, nargs="+", default=[1, 5], help="default: 1 and 5")
     given = parser.parse_args()
-    dataset, unseen = open_dataset(given.dataset), open_shards(open_dataset(given.judge))
+    dataset, judge_data = open_dataset(given.dataset), open_dataset(given.judge)
+    if not (dataset.preset.is_one_corner and judge_data.preset.is_one_corner):
+        raise SystemExit("the library is that of one corner, and a dataset has many (camera_spread)")
+    unseen = open_shards(judge_data)
     shards, view = open_shards(dataset), wall_view(dataset)
     library = shards.rows("train")[: max(given.counts)]
     spec = fit_input_spec("residual", shards, library[:READ_AT_ONCE], reference="self", view=view)

@@ -14,6 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 _TRANSPORT = "render.transport"
+_FIRST_LATTICE = "runs at the first lattice"
 # Stage, and the functions in it: module, and name there. A product without transients has no time bins.
 STAGES: dict[str, tuple[tuple[str, str], ...]] = {
     "read the scene's files": (
@@ -29,6 +30,7 @@ STAGES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "pilot: where light arrives": ((f"{_TRANSPORT}.many_light", "light_density"),),
     "lights of trials and image": ((f"{_TRANSPORT}.many_light", "make_lights"),),
+    _FIRST_LATTICE: (),  # timed below, because its pairs are counted, too
     "finer lattice and its check": ((f"{_TRANSPORT}.many_light", "make_field"),),
     "direct return": ((f"{_TRANSPORT}.many_light", "gather_direct"),),
     "hidden image": ((f"{_TRANSPORT}.passes.hidden_pass", "HiddenField.image"),),
@@ -59,7 +61,7 @@ def stage_times() -> Iterator[dict[str, float]]:
             ((f"{_TRANSPORT}.passes.hidden_pass", "gather_runs"), clock.counting_gather),
             (
                 (f"{_TRANSPORT}.many_light", "gather_runs"),
-                lambda function: clock.timed("runs at the first lattice", clock.counting_gather(function)),
+                lambda function: clock.timed(_FIRST_LATTICE, clock.counting_gather(function)),
             ),
             ((f"{_TRANSPORT}.lights.light_pass", "_arrivals_of"), clock.counting_arrivals),
         ]

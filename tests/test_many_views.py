@@ -158,6 +158,11 @@ def test_images_and_fields_of_view_must_go_together(views, run):
     predictor, z = load(run, "cpu"), open_shards(views).complex_phasors([0, 1])
     with pytest.raises(InputError, match="2 images have 1 fields_of_view_deg: give one each"):
         predictor.predict(z, fields_of_view_deg=[60.0])
+    for bad in (0.0, np.nan, 180.0):
+        with pytest.raises(InputError, match="fields_of_view_deg are between 1 and 170 degrees, got"):
+            predictor.predict(z, fields_of_view_deg=[60.0, bad])
+    listed, array = (predictor.predict(z, fields_of_view_deg=kind([60.0, 61.0])) for kind in (list, np.array))
+    assert np.array_equal(listed.radial_depth_m, array.radial_depth_m)
     with pytest.raises(InputError, match="a reference is that of one camera"):
         predictor.predict(z, predictor.reference, fields_of_view_deg=[60.0, 60.0])
 

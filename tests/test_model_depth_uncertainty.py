@@ -1,6 +1,7 @@
 """The expected error of the depth: its loss, its head, its fit, and the way into files and fine-tuning."""
 
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
-from training_runs import FLIP, config_of, settings
+from training_runs import FLIP, config_of, edit_checkpoint, settings
 
 from itof import DepthMap, ImageFileError, depth_from_phase, read_image
 from itof.exr import write_image
@@ -16,6 +17,7 @@ from model.data.shards import open_shards
 from model.network.mask_and_depth import LARGEST_LOG_ERROR, MaskAndDepth, MaskAndDepthLoss
 from model.network.unet import UNet
 from model.prediction.predictor import load
+from model.run_folder.history import read_history
 from model.run_folder.run_config import RunError
 from model.settings import TrainSettings
 from model.training.loop import train
@@ -122,9 +124,19 @@ def test_a_network_with_uncertainty_begins_as_the_one_without(block):
     assert len(one.independent_parts) == 1
 
 
-def test_everything_else_is_trained_as_without_uncertainty(closed_form_scenes, tmp_path):
+@pytest.mark.parametrize("seed", [1, 2])  # with 2, the head is over-confident in later epochs
+def test_everything_else_is_trained_and_kept_as_without_uncertainty(closed_form_scenes, tmp_path, seed):
+    ended = []
     for name, chosen in (("plain", PLAIN), ("unsure", UNSURE)):
-        train(closed_form_scenes, tmp_path / name, settings(**chosen | {"max_epochs": 1}))
+        longer = {"learning_rate": 1e-3, "max_epochs": 16, "seed": seed}
+        ended.append(train(closed_form_scenes, tmp_path / name, settings(**chosen | longer)))
+    assert ended[0].best_epoch == ended[1].best_epoch
+    history = read_history(tmp_path / "unsure")
+    losses = np.array(history["validation_loss"]) - np.array(history["validation_uncertainty"])
+    np.testing.assert_allclose(losses, read_history(tmp_path / "plain")["validation_loss"], rtol=1e-9)
+    assert not any(read_history(tmp_path / "plain")["validation_uncertainty"])
+    if seed == 2:
+        assert np.argmin(history["validation_loss"]) != np.argmin(losses)
     one, other = (load_file(tmp_path / name / "best.safetensors") for name in ("plain", "unsure"))
     assert all(torch.equal(weight, other[name]) for name, weight in one.items())
     assert {name.split(".")[0] for name in other.keys() - one.keys()} == {"uncertainty_head"}
@@ -141,6 +153,20 @@ def test_expected_errors_are_those_of_the_validation_scenes_on_average(
     assert np.mean(actual_m / found.depth_error_m[on_object]) == pytest.approx(1, rel=1e-3)
     assert found.depth_error_m.shape == found.mask.shape
     assert found.depth_error_m.dtype == np.float32
+
+
+def test_a_run_of_an_earlier_version_goes_on_by_the_losses_that_it_has(
+    unsure_run, closed_form_scenes, tmp_path
+):
+    run = shutil.copytree(unsure_run, tmp_path / "run")
+    earlier = torch.load(run / "checkpoint.pt", weights_only=True)["history"]
+    for record in earlier:
+        del record["validation_uncertainty"]
+    edit_checkpoint(run, history=earlier)
+    train(closed_form_scenes, run, settings(**UNSURE | {"max_epochs": 16}), resume=True)
+    history = read_history(run)
+    assert len(history["epoch"]) == 16
+    assert "validation_uncertainty" not in history
 
 
 def test_factors_of_several_processes_and_batches_are_those_of_all_pixels():

@@ -170,6 +170,20 @@ def test_asking_for_cuda_where_there_is_none_is_refused(closed_form_scenes, tmp_
     assert choose_device("auto").type == "cpu"
 
 
+def test_float32_is_not_rounded_on_a_gpu(monkeypatch):
+    flags = (torch.backends.cudnn, torch.backends.cuda.matmul)
+    before = [flag.allow_tf32 for flag in flags]
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    try:
+        for flag in flags:
+            flag.allow_tf32 = True
+        assert choose_device("auto").type == "cuda"
+        assert not any(flag.allow_tf32 for flag in flags)
+    finally:
+        for flag, value in zip(flags, before, strict=True):
+            flag.allow_tf32 = value
+
+
 def test_running_out_of_memory_names_what_to_make_smaller(closed_form_scenes, tmp_path):
     advice = "out of memory with batch size 3 and width 2 at 24x14 pixels"
     with before_each_network(lambda _: torch.empty(2**50)), pytest.raises(TrainingError, match=advice):

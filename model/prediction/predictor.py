@@ -27,6 +27,7 @@ from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
 from model.settings import DeviceName
 from scenegen import NightError, PathLike
+from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
 
 NEEDS_CAPTURE = "was trained for a capture of the empty corner: give one as reference"
 BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB
@@ -113,22 +114,22 @@ class Predictor:
         Raises
         ------
         InputError : the run needs a measured reference, shape or number of frequencies differ from the
-            training, a value is not finite, an image without light is to be rescaled, or there is another
-            number of fields of view.
+            training, a value is not finite, an image without light is to be rescaled, there is another number
+            of fields of view, or one that no camera has.
         RunError : the output of the network is not finite.
         """
-        z = np.asarray(phasors)
+        z, views = np.asarray(phasors), [float(fov_deg) for fov_deg in fields_of_view_deg]
         self._refuse_other_images(z)
         images = z if z.ndim == 4 else z[None]
-        if fields_of_view_deg:
-            self._refuse_fields_of_view(fields_of_view_deg, len(images), reference)
-        wall = None if fields_of_view_deg else self._wall(reference)
+        if views:
+            self._refuse_fields_of_view(views, len(images), reference)
+        wall = None if views else self._wall(reference)
         if rescale:
             images = images * self._gain(images)
         parts = [
             self._predict_some(
-                self._channels_of_views(images[some], fields_of_view_deg[some])
-                if fields_of_view_deg
+                self._channels_of_views(images[some], views[some])
+                if views
                 else self._channels(images[some], wall)
             )
             for some in (slice(start, start + BATCH) for start in range(0, len(images), BATCH))
@@ -188,6 +189,12 @@ class Predictor:
             raise InputError(
                 f"{count} images have {len(fields_of_view_deg)} fields_of_view_deg: give one each"
             )
+        for fov_deg in fields_of_view_deg:
+            if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
+                raise InputError(
+                    f"fields_of_view_deg are between {MIN_FOV_DEG:g} and {MAX_FOV_DEG:g} degrees, got "
+                    f"{fov_deg:g}"
+                )
 
     def _channels_of_views(
         self, images: NDArray[np.generic], fields_of_view_deg: Sequence[float]

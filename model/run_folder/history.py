@@ -25,7 +25,13 @@ _MOST_BYTES: Final = 2**28
 
 @dataclass(frozen=True)
 class EpochRecord:
-    """One line of ``history.csv``: losses, and metrics of the radial depth on the validation scenes."""
+    """One line of ``history.csv``: losses, and metrics of the radial depth on the validation scenes.
+
+    Attributes
+    ----------
+    validation_uncertainty : the part of `validation_loss` that is the likelihood of the expected errors; None
+        in the runs of versions that did not tell it.
+    """
 
     epoch: int
     learning_rate: float
@@ -33,11 +39,12 @@ class EpochRecord:
     validation_loss: float
     validation_mae_cm: float
     validation_miou: float
+    validation_uncertainty: float | None = None
 
     @property
     def is_possible(self) -> bool:
         """Whether a training can have written these values; for records that were read from a file."""
-        numbers = {name: getattr(self, name) for name in COLUMNS[1:]}
+        numbers = {name: getattr(self, name) for name in self.columns if name != "epoch"}
         return (
             type(self.epoch) is int
             and all(type(number) is float and math.isfinite(number) for number in numbers.values())
@@ -45,17 +52,29 @@ class EpochRecord:
             and self.validation_miou <= 1 + 1e-6  # and rounding
         )
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the values that the record has."""
+        return COLUMNS[:-1] if self.validation_uncertainty is None else COLUMNS
 
-_LOSSES: Final = {"train_loss", "validation_loss"}  # a likelihood of depths has negative logarithms
+    @property
+    def of_mask_and_depth(self) -> float:
+        """The validation loss without the likelihood of the expected errors, as far as that is known."""
+        return self.validation_loss - (self.validation_uncertainty or 0.0)
+
+
+# A likelihood of depths has negative logarithms.
+_LOSSES: Final = {"train_loss", "validation_loss", "validation_uncertainty"}
 COLUMNS: Final = tuple(field.name for field in fields(EpochRecord))
 
 
 def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
-    """Write ``history.csv``."""
-    content = bytearray(",".join((*COLUMNS, CHECK)).encode() + _END)
+    """Write ``history.csv``, with the columns that the first record has."""
+    columns = history[0].columns if history else COLUMNS
+    content = bytearray(",".join((*columns, CHECK)).encode() + _END)
     check = zlib.crc32(content)
     for record in history:
-        line = "".join(f"{getattr(record, name)}," for name in COLUMNS).encode()
+        line = "".join(f"{getattr(record, name)}," for name in columns).encode()
         check = zlib.crc32(line, check)
         line_end = f"{check:08x}".encode() + _END
         check = zlib.crc32(line_end, check)
@@ -67,7 +86,7 @@ def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
 def read_history(run: Path) -> dict[str, list[float]]:
     """Columns of a run's ``history.csv`` by name; empty if the file does not exist.
 
-    Runs of schema 2 have no checksums in this file.
+    Runs of schema 2 have no checksums in this file, and earlier versions no `validation_uncertainty`.
 
     Raises
     ------
@@ -92,19 +111,19 @@ def _columns(content: bytes) -> dict[str, list[float]]:
     head, *lines = content.split(_END)
     if not lines or lines.pop() != b"":
         raise ValueError("its last line has no end")
-    names = [*COLUMNS, CHECK]
-    if head not in (",".join(names).encode(), ",".join(COLUMNS).encode()):
+    is_checked = head.endswith(f",{CHECK}".encode())
+    names = tuple(head.removesuffix(f",{CHECK}".encode()).decode("ascii", "replace").split(","))
+    if names not in (COLUMNS, COLUMNS[:-1]):
         raise ValueError("its first line is not that of a history")
-    is_checked = head.endswith(CHECK.encode())
     check = zlib.crc32(head + _END)
-    columns: dict[str, list[float]] = {name: [] for name in COLUMNS} if lines else {}
+    columns: dict[str, list[float]] = {name: [] for name in names} if lines else {}
     for number, line in enumerate(lines, start=1):
         values, comma, digits = line.rpartition(b",") if is_checked else (line, b"", b"")
         check = zlib.crc32(values + comma, check)
         if is_checked and digits != f"{check:08x}".encode():
             raise ValueError(f"the checksum of epoch {number} is wrong")
         check = zlib.crc32(digits + _END, check)
-        for name, value in zip(COLUMNS, values.split(b","), strict=True):
+        for name, value in zip(names, values.split(b","), strict=True):
             columns[name].append(_finite(value))
         if columns["epoch"][-1] != number:
             raise ValueError(f"epoch {number} is missing")

@@ -80,24 +80,26 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
     """
     network = state.optimisation.judged.eval()
     feed = state.feeds["validation"]
-    sums = torch.zeros(4, dtype=torch.float64, device=state.processes.device)
+    sums = torch.zeros(5, dtype=torch.float64, device=state.processes.device)
     readout = state.config.readout
     fit = UncertaintyFit(readout, state.processes.device) if isinstance(readout, MaskAndDepth) else None
     for block in feed.in_order(state.settings.batch_size):
         part = block.take([block.rows[place] for place in state.processes.share(range(len(block)))])
         batch = state.maker.batch(part)
         output = state.step.output(batch, network)
-        loss = state.step.judge(output, batch)
+        loss, uncertainty = state.step.judge(output, batch), state.step.uncertainty(output, batch)
         depth_error_m = (readout.radial_depth_m(output) - batch.radial_depth_m).abs().mean()
         pred, truth = readout.mask(output) > 0, batch.mask > 0
         miou = torch.stack([mask_iou(pred, truth), mask_iou(~pred, ~truth)]).mean()
         bad = (~output.isfinite()).sum()
-        each = torch.stack([loss.double(), depth_error_m.double(), miou.double(), bad.double()])
+        each = torch.stack([value.double() for value in (loss, uncertainty, depth_error_m, miou, bad)])
         sums += state.processes.own(len(block)) * each
         if fit and state.processes.own(len(block)):
             fit.add(_predicted(state, batch, output, network), batch.radial_depth_m, batch.mask)
         between_batches()
-    loss, depth_mae_m, miou, bad_outputs = (state.processes.total(sums) / len(feed.rows)).tolist()
+    loss, uncertainty, depth_mae_m, miou, bad_outputs = (
+        state.processes.total(sums) / len(feed.rows)
+    ).tolist()
     record = EpochRecord(
         epoch=len(state.history) + 1,
         learning_rate=learning_rate(
@@ -107,6 +109,7 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
         validation_loss=loss,
         validation_mae_cm=100 * depth_mae_m,
         validation_miou=miou,
+        validation_uncertainty=uncertainty if state.tells_uncertainty else None,
     )
     _refuse_bad_validation(record, bad_outputs > 0)
     if fit:
@@ -143,8 +146,11 @@ def save_if_due(
 
 
 def _check_every(state: TrainingState) -> int:
-    """Batches between two checks of the loss; on a GPU a check waits for all queued work."""
-    return 1 if state.processes.device.type == "cpu" else 16
+    """Batches between two checks of the loss; on a GPU a check waits for all queued work.
+
+    The checkpoints of ``checkpoint_minutes = 0`` come after every batch.
+    """
+    return 1 if state.processes.device.type == "cpu" or not state.settings.checkpoint_minutes else 16
 
 
 def _watch(watch: LossWatch, loss: Tensor | None = None, rows: Sequence[int] = ()) -> None:

@@ -67,16 +67,20 @@ class TrainingLog:
                 stream.write(self._waiting.getvalue())
         self._waiting = io.BytesIO()
 
-    def scalars(self, record: Mapping[str, float], optimisation: Optimisation) -> None:
-        """Log an epoch's record, the norm of its last gradient, and its samples per second."""
-        epoch, now = int(record["epoch"]), time.perf_counter()
+    def scalars(self, record: Mapping[str, float | None], optimisation: Optimisation, samples: int) -> None:
+        """Log an epoch's record, the norm of its last gradient, and its samples per second with validation.
+
+        Parameters
+        ----------
+        samples : number of training samples of an epoch.
+        """
+        epoch, now = int(record["epoch"] or 0), time.perf_counter()
         for name, value in record.items():
-            if name != "epoch":
+            if name != "epoch" and value is not None:
                 self._add(epoch, summary=scalar(name, value))
         if optimisation.settings.clip_norm > 0:
             self._add(epoch, summary=scalar("gradient_norm", float(optimisation.gradient_norm)))
         if self._steps >= 0:
-            samples = (optimisation.steps - self._steps) * optimisation.settings.batch_size
             self._add(epoch, summary=scalar("samples_per_second", samples / (now - self._since)))
         self._since, self._steps = now, optimisation.steps
 

@@ -274,7 +274,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
 
 def _report(state: TrainingState, log: TrainingLog, record: EpochRecord) -> None:
     """Log the scalars of an epoch, and in some epochs pictures of the first validation scenes."""
-    log.scalars(asdict(record), state.optimisation)
+    log.scalars(asdict(record), state.optimisation, len(state.feeds["train"].rows))
     if log.wants_pictures(record.epoch):
         feed = state.feeds["validation"]
         rows = state.maker.upload(state.shards.read(feed.rows[: log.PICTURES]))

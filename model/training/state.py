@@ -119,8 +119,25 @@ class TrainingState:
 
     @property
     def best(self) -> EpochRecord:
-        """The first epoch with the smallest validation loss; there must be a finished epoch."""
-        return min(self.history, key=lambda record: record.validation_loss)
+        """The first epoch with the smallest of `compared_losses`; there must be a finished epoch."""
+        losses = self.compared_losses
+        return self.history[losses.index(min(losses))]
+
+    @property
+    def tells_uncertainty(self) -> bool:
+        """Whether records say what the uncertainty adds to a loss; not in runs of earlier versions."""
+        return all(record.validation_uncertainty is not None for record in self.history)
+
+    @property
+    def compared_losses(self) -> list[float]:
+        """Validation losses by which epochs are compared.
+
+        They are those of mask and depth, so that the uncertainty does not change which weights are kept,
+        unless only the uncertainty is trained.
+        """
+        if self.settings.freeze == "all-but-uncertainty" or not self.tells_uncertainty:
+            return [record.validation_loss for record in self.history]
+        return [record.of_mask_and_depth for record in self.history]
 
     @property
     def weights_bytes(self) -> int:
@@ -129,8 +146,7 @@ class TrainingState:
 
     def out_of_patience(self) -> bool:
         """Whether the validation loss did not improve by more than `min_delta` for `patience` epochs."""
-        losses = [record.validation_loss for record in self.history]
-        waited = epochs_without_improvement(losses, self.settings.min_delta)
+        waited = epochs_without_improvement(self.compared_losses, self.settings.min_delta)
         return bool(self.history) and waited >= self.settings.patience
 
     def finish_epoch(self, record: EpochRecord) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -80,6 +81,14 @@ class TrainingStep:
     def judge(self, output: Tensor, batch: Batch) -> Tensor:
         """Loss of a network output."""
         return self.loss(output, batch.target, batch.radial_depth_m, batch.mask)
+
+    def uncertainty(self, output: Tensor, batch: Batch) -> Tensor:
+        """The part of `judge` that is the likelihood of the expected errors; 0 without uncertainty."""
+        readout = self.loss.readout
+        if not (isinstance(readout, MaskAndDepth) and readout.has_uncertainty):
+            return output.new_zeros(())
+        rest = MaskAndDepthLoss(replace(readout, has_uncertainty=False))
+        return self.judge(output, batch) - rest(output, batch.target, batch.radial_depth_m, batch.mask)
 
     def output(self, batch: Batch, network: Callable[[Tensor], Tensor]) -> Tensor:
         """(N, C, H, W) float32 output of `network`; its convolutions use the run's number type."""
