@@ -170,49 +170,6 @@ def test_a_sidecar_does_not_lead_out_of_its_folder(tmp_path, dark_file):
         raw_of(sidecar, folder, raw=RAW)
 
 
-def test_exposure_times_must_be_as_many_as_the_frames(tmp_path):
-    sidecar = sidecar_of(tmp_path, exposures_s=[1e-3, 2e-3])
-    with pytest.raises(CaptureError, match="holds 1 frames, and 2 exposure times are given"):
-        raw_of(sidecar, raw=RAW)
-    sidecar = sidecar_of(tmp_path, exposure_array="t")
-    raw = raw_of(sidecar, raw=np.concatenate([RAW, 2 * RAW]), t=np.array([1.0, 2.0]))
-    assert capture_of(raw, sidecar).facts.frames == 2
-
-
-def test_files_of_single_frequencies_have_exposure_times_of_their_own(tmp_path):
-    times = (1.0, 2.0, 3.0)
-    for place, time in enumerate(times):
-        np.savez(tmp_path / f"{place}.npz", raw=time * RAW[:, :, :, place], t=[time])
-    axes = ["frame", "row", "column", "step", "tap"]
-    sidecar = sidecar_of(tmp_path, files="frequencies", axes=axes, exposure_array="t")
-    read = read_here([tmp_path / f"{place}.npz" for place in range(3)], sidecar)
-    assert read.exposures_s.tolist() == [list(times)]
-    one = sidecar_of(tmp_path)
-    np.testing.assert_allclose(capture_of(read, sidecar).phasor, capture_of(raw_of(one, raw=RAW), one).phasor)
-
-
-def test_arrays_that_are_frames_come_in_the_order_of_their_exposure_times(tmp_path):
-    for name, factor in (("one", 1.0), ("two", 2.0)):
-        np.savez(
-            tmp_path / f"{name}.npz",
-            a=factor * RAW[0],
-            b=4 * factor * RAW[0],
-            t=factor * np.array([1.0, 4.0]),
-        )
-    sidecar = sidecar_of(
-        tmp_path,
-        without(TAPS, "axes"),
-        arrays=["a", "b"],
-        axes=["row", "column", "frequency", "step", "tap"],
-        stacked_along="frame",
-        exposure_array="t",
-    )
-    read = read_here([tmp_path / "one.npz", tmp_path / "two.npz"], sidecar)
-    assert read.exposures_s[:, 0].tolist() == [1.0, 4.0, 2.0, 8.0]
-    np.testing.assert_allclose(read.values.mean(axis=(1, 2, 3, 4, 5)) / RAW.mean(), read.exposures_s[:, 0])
-    assert capture_of(read, sidecar).facts.frames == 4
-
-
 COMPLEX = {
     "raw must hold real numbers": (TAPS | {"layout": "taps"}, {"raw": RAW + 1j}),
     "z must hold real numbers": (

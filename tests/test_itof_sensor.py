@@ -105,33 +105,6 @@ def test_square_waves_make_the_phase_error_of_triangles(frequency_hz):
     assert np.abs(better - phase).max() < 0.25 * 0.0711
 
 
-def test_a_calibration_takes_the_wiggling_out_as_far_as_it_is_known():
-    z = scene(size=(36, 48))
-    square = replace(SQUARE, width=48, height=36, highest_harmonic=9, rise_time_s=2e-9)
-    raw = captured(square, z).phasor
-    error = np.log(raw / z)
-    assert np.abs(error.imag).max() > 0.05
-    np.testing.assert_allclose(captured(replace(square, wiggling_left=0.0), z).phasor, z, rtol=1e-7)
-    tenth = np.log(captured(replace(square, wiggling_left=0.1), z).phasor / z)
-    np.testing.assert_allclose(tenth, 0.1 * error, atol=1e-7)
-    # With noise, it is the measured phase that is corrected, so the noise is stretched by up to a quarter.
-    noisy = replace(square, shot_noise=True, integration_s=1e-2, wiggling_left=0.0)
-    spread = np.std(np.angle(captured(noisy, z).phasor / z))
-    sinus = replace(noisy, emitter_waveform="sinusoidal", contrast=((20e6, first_harmonic(noisy, 50e6)),))
-    assert 0.8 < spread / np.std(np.angle(captured(sinus, z).phasor / z)) < 1.3
-
-
-def test_a_waveform_that_no_calibration_undoes_is_refused():
-    z = scene(size=(36, 48))
-    settings = replace(SQUARE, width=48, height=36, highest_harmonic=9, wiggling_left=0.0)
-    for duty in (0.5, 0.25):
-        # Linear between the entries of the table: the curvature of the error grows towards its fold.
-        np.testing.assert_allclose(captured(replace(settings, emitter_duty=duty), z).phasor, z, rtol=2e-5)
-    for duty in (0.15, 0.1):  # the measured phase goes back where that of the light goes on
-        with pytest.raises(ValueError, match="light of several phases gives the same measured phase"):
-            captured(replace(settings, emitter_duty=duty), z)
-
-
 def test_harmonics_of_waveforms():
     assert harmonics(replace(SQUARE, reference_waveform="sinusoidal"), 50e6) == {1: 1.0}
     found = harmonics(replace(SQUARE, highest_harmonic=9), 50e6)
