@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 from pydantic import TypeAdapter
 
@@ -28,8 +29,13 @@ def load_sensor(name_or_file: PathLike) -> SensorSettings:
     return settings
 
 
-def view_problem(settings: SensorSettings, dataset: Dataset, width: int, height: int) -> str | None:
-    """Why this camera cannot measure the images (W x H) of a dataset, as a sentence; None if it can."""
+def view_problem(
+    settings: SensorSettings, dataset: Dataset, width: int, height: int, frequencies_hz: Sequence[float]
+) -> str | None:
+    """Why this camera cannot measure the images (W x H) of a dataset at these frequencies, Hz, as a sentence.
+
+    None if it can.
+    """
     if dataset.preset.camera_spread.horizontal_fov_deg:
         return f"the scenes of {dataset.root} have different fields of view, and a camera has one"
     fov_deg = dataset.preset.camera.horizontal_fov_deg
@@ -41,7 +47,7 @@ def view_problem(settings: SensorSettings, dataset: Dataset, width: int, height:
     try:
         settings.binning(width, height)
         if settings.wiggling_left < 1:
-            for frequency_hz in dataset.preset.itof.frequencies_hz:
+            for frequency_hz in frequencies_hz:
                 wiggling(settings, frequency_hz)
     except ValueError as error:
         return f"the camera cannot measure {dataset.root}: {error}"

@@ -34,6 +34,7 @@ _PATHS = 256  # per pixel
 _MOST_VERTICES = 8  # of a path; light that is seen in the mirror has one more than without
 _SKY = (512, 256)  # pixels of the map of the light; it is smooth over one pixel, 0.7 degrees
 _SKY_NAME = "sky"
+_STRAIGHT = 1e-3  # part of the direction of view along the wall, below which it is rounding
 
 
 @dataclass(frozen=True)
@@ -124,14 +125,14 @@ def _along_the_wall(scene: Scene) -> NDArray[np.float64]:
     """(3,) the camera's direction of view, projected on the relay wall; its mirror image has the same."""
     axes, normal = camera_axes(scene.camera), wall_normal(scene.relay_wall)
     along = axes[2] - (axes[2] @ normal) * normal
-    camera = scene.camera
+    camera, length = scene.camera, float(np.linalg.norm(along))
     rays = pixel_rays(camera.width, camera.height, camera.horizontal_fov_deg) @ axes
-    if (rays @ along).min() <= 0:
+    if length < _STRAIGHT or (rays @ along).min() <= 0:
         raise RenderError(
             f"scene {scene.id}: the camera looks straight at the relay wall, or nearly so, and would see its "
             "own light in the mirror, so there is no picture of the mirror trick"
         )
-    return np.asarray(along / np.linalg.norm(along))
+    return np.asarray(along / length)
 
 
 def _half_sky(ahead: NDArray[np.float64]) -> NDArray[np.float32]:

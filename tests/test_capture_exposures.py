@@ -33,6 +33,16 @@ def test_files_of_single_frequencies_have_exposure_times_of_their_own(tmp_path):
     np.testing.assert_allclose(capture_of(read, sidecar).phasor, capture_of(raw_of(one, raw=RAW), one).phasor)
 
 
+def test_one_array_of_exposure_times_may_be_for_all_frequencies(tmp_path):
+    for place in range(3):
+        times = {"t": [5.0]} if place == 0 else {}
+        np.savez(tmp_path / f"{place}.npz", raw=5 * RAW[:, :, :, place], **times)
+    axes = ["frame", "row", "column", "step", "tap"]
+    sidecar = sidecar_of(tmp_path, files="frequencies", axes=axes, exposure_array="t")
+    read = read_here([tmp_path / f"{place}.npz" for place in range(3)], sidecar)
+    assert read.exposures_s.tolist() == [[5.0, 5.0, 5.0]]
+
+
 def test_arrays_that_are_frames_come_in_the_order_of_their_exposure_times(tmp_path):
     for name, factor in (("one", 1.0), ("two", 2.0)):
         np.savez(

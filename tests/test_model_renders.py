@@ -67,7 +67,7 @@ def test_scenes_that_could_not_be_rendered_are_left_out_until_they_can(dataset, 
     assert open_shards(dataset).manifest.data_sha256 == whole.manifest.data_sha256
 
 
-def test_a_failure_that_is_older_than_the_render_does_not_count(dataset):
+def test_a_scene_with_a_render_is_no_failure(dataset):
     folder = dataset.render_folder("000002")
     record_anew(folder)
     write_failure(folder, FailureRecord(recipe="", attempts=2, reason="its mesh is broken"), "log")

@@ -191,6 +191,12 @@ def test_a_history_with_gaps_and_missing_columns_still_makes_charts():
     (loss,) = training_curves(full)
     assert [part.name for part in loss.parts] == ["training", "validation", "kept: epoch 2"]
     assert loss.parts[0].y == (2.0, None)
+    losses, uncertainty = [0.5, 0.6, 0.9], [0.1, 0.4, 0.8]
+    trained = {"epoch": [1.0, 2.0, 3.0], "train_loss": losses, "validation_loss": losses}
+    trained["validation_uncertainty"] = uncertainty
+    for alone, kept in ((False, 3), (True, 1)):
+        (compared,) = training_curves(trained, of_uncertainty=alone)
+        assert compared.parts[-1].name == f"kept: epoch {kept}"
     (bare,) = training_curves({"epoch": [1.0], "validation_miou": [0.5]})  # one epoch, nothing to name
     assert [(part.name, part.style) for part in bare.parts] == [("", "dots")]
     for chart in (loss, bare):

@@ -124,8 +124,24 @@ def test_a_refused_job_ends_the_run_with_the_reason(slurm, unrendered, sbatch, w
         *("night-render", unrendered, *SETTINGS, "--product", "itof", "--only", "000000"),
         *("--cluster", slurm / "cluster.yaml"),
     )
-    assert "the batch system refused a job" in sentence
+    assert "the batch system takes no job" in sentence
     assert words in sentence
+
+
+@pytest.mark.long
+def test_one_refused_job_of_several_does_not_end_the_run(slurm, unrendered):
+    limited = '[ "$(ls "$JOBS" | grep -c "^pid")" -lt 1 ] || { echo "job limit" >&2; exit 1; }\n'
+    (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + limited))
+    (slurm / "cluster.yaml").write_text(
+        "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
+    )
+    done = night_here(
+        *("night-render", unrendered, *SETTINGS, "--product", "itof", "--only", "000000", "--only", "000003"),
+        *("--cluster", slurm / "cluster.yaml", "--workers", 2),
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("2 scenes rendered")
+    assert len(list(slurm.glob("script.*"))) == 1
 
 
 @pytest.mark.parametrize(

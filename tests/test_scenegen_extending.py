@@ -201,7 +201,7 @@ def test_a_refused_preset_leaves_no_folder(tmp_path):
             return "too big"
 
     with pytest.raises(SamplingError):
-        generate(tmp_path / "data", of_seed_5(1), NoRoom(), lambda: None)
+        generate(tmp_path / "data" / "in" / "here", of_seed_5(1), NoRoom(), lambda: None)
     assert not (tmp_path / "data").exists()
     (tmp_path / "data").mkdir()  # the user's own
     with pytest.raises(SamplingError):

@@ -141,7 +141,7 @@ def _dark_somewhere(raw: RawFrames, sidecar: Sidecar) -> Mask:
     if sidecar.amplitude_arrays and raw.partner is not None:
         empty = raw.partner == 0
         if sidecar.layout == "amplitude-depth":
-            empty |= raw.values <= 0  # how cameras and `write 0` mark a pixel without a value
+            empty |= raw.values == 0  # how cameras mark a pixel without a value
         return np.asarray(empty.any(axis=(0, 1, 2, 3)))
     empty = raw.values == 0 if raw.partner is None else (raw.values == 0) & (raw.partner == 0)
     return np.asarray(empty.any(axis=(0, 1, 2, 3)))

@@ -145,12 +145,16 @@ class _Group:
 
     def numbers(self, name: str) -> Arrays:
         """All values of a list."""
-        found = [contents.arrays[name] for _, contents in self.files if name in contents.arrays]
+        found = [(file, contents.arrays[name]) for file, contents in self.files if name in contents.arrays]
         if not found:
             raise _missing(name, self.files)
-        for values in found:
-            _refuse_complex(values, f"{self.files[0][0]}: {name}")
-        return np.concatenate([values.reshape(-1) for values in found])
+        for file, values in found:
+            _refuse_complex(values, f"{file}: {name}")
+        return np.concatenate([values.reshape(-1) for _, values in found])
+
+    def has(self, name: str) -> bool:
+        """Whether a file has an array of this name."""
+        return any(name in contents.arrays for _, contents in self.files)
 
 
 def _bytes_of(files: Sequence[tuple[Path, FileContents]]) -> int:
@@ -247,10 +251,11 @@ def _refuse_other_shape(values: Arrays, partner: Arrays | None, source: str) -> 
 
 
 def _exposures(sidecar: Sidecar, parts: list[_Group], count: int, source: str) -> NDArray[np.float64]:
-    """(N, F) exposure times; files of single frequencies have their own."""
+    """(N, F) exposure times; files of single frequencies may have their own."""
     name = sidecar.exposure_array
     if name is not None:
-        times = [part.numbers(name).astype(np.float64) for part in parts]
+        own = parts if any(part.has(name) for part in parts[1:]) else parts[:1]
+        times = [part.numbers(name).astype(np.float64) for part in own]
     else:
         times = [np.array(sidecar.exposures_s or (1.0,) * count)]
     for each in times:

@@ -85,8 +85,8 @@ def open_shards(
     """Open the shards of a dataset; parts that are missing or out of date are built first.
 
     An interrupted build continues with the piece at which it stopped. Files that did not change since the
-    last time are not read again. Scenes that night-render failed to render (they have a ``failure.json``)
-    are left out.
+    last time are not read again. Scenes that night-render failed to render (they have a ``failure.json`` and
+    no ``render.json``) are left out.
 
     Parameters
     ----------

@@ -89,7 +89,8 @@ def judge_exposures(
     rows = shards.rows(split)[:first]
     if not rows:
         raise nothing_rendered(dataset, split)
-    problem = view_problem(sensor, dataset, shards.manifest.width, shards.manifest.height)
+    frequencies_hz = predictor.config.inputs.frequencies_hz
+    problem = view_problem(sensor, dataset, shards.manifest.width, shards.manifest.height, frequencies_hz)
     if problem:
         raise EvaluationError(problem)
     work = _Work(predictor.at(wall_view(dataset)), dataset, shards, rows)

@@ -17,6 +17,7 @@ from model.network.metrics import ImageMetrics
 from model.report.calibration import Calibration, ThresholdCurve
 from model.report.reliability import BINS
 from model.report.results import Report
+from model.run_folder.history import kept_epoch
 
 Colour = Literal["text", "baseline", "prediction", "truth"]  # CSS variables of the page
 History = Mapping[str, Sequence[float]]
@@ -172,12 +173,13 @@ def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
     )
 
 
-def training_curves(history: History) -> tuple[Chart, ...]:
+def training_curves(history: History, *, of_uncertainty: bool = False) -> tuple[Chart, ...]:
     """Losses, validation MAE and mIoU by epoch, the epoch of the kept weights marked; none without epochs.
 
     Parameters
     ----------
     history : columns of ``history.csv``; a chart whose columns are missing is left out.
+    of_uncertainty : whether only the uncertainty was trained.
     """
     losses: dict[str, tuple[str, Colour]] = {
         "train_loss": ("training", "truth"),
@@ -188,8 +190,14 @@ def training_curves(history: History) -> tuple[Chart, ...]:
         "training_mae": ("validation MAE, cm", {"validation_mae_cm": ("", "prediction")}),
         "training_miou": ("validation mIoU", {"validation_miou": ("", "prediction")}),
     }
+    kept = None
+    if history.get("epoch") and history.get("validation_loss"):
+        validation = history["validation_loss"]
+        unknown: Sequence[float | None] = [None] * len(validation)
+        uncertainty = history.get("validation_uncertainty") or unknown
+        kept = history["epoch"][kept_epoch(validation, uncertainty, of_uncertainty=of_uncertainty)]
     return tuple(
-        _epochs(name, label, history, lines)
+        _epochs(name, label, history, lines, kept)
         for name, (label, lines) in wanted.items()
         if history.get("epoch") and all(history.get(column) for column in lines)
     )
@@ -260,16 +268,21 @@ def _sweep(name: str, label: str, calibration: Calibration, field: str, scale: f
     return Chart(name, "mask threshold", label, tuple(parts))
 
 
-def _epochs(name: str, label: str, history: History, lines: Mapping[str, tuple[str, Colour]]) -> Chart:
-    """Columns of the history by epoch."""
+def _epochs(
+    name: str,
+    label: str,
+    history: History,
+    lines: Mapping[str, tuple[str, Colour]],
+    kept: float | None,
+) -> Chart:
+    """Columns of the history by epoch, with the one whose weights are kept."""
     epochs = tuple(history["epoch"])
     parts: list[Curve | Upright] = []
     for column, (line, colour) in lines.items():
         values = tuple(value if math.isfinite(value) else None for value in history[column])
         # One epoch makes no line: its values are dots.
         parts.append(Curve(line, colour, epochs, values, "dots" if len(epochs) == 1 else "line", 1.2))
-    if history.get("validation_loss"):
-        kept = epochs[int(np.argmin(history["validation_loss"]))]
+    if kept is not None:
         parts.append(Upright(f"kept: epoch {kept:g}", "text", kept, "dot"))
     return Chart(name, "epoch", label, tuple(parts), whole_x=True)
 

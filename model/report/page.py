@@ -32,7 +32,7 @@ from model.report.report_scenes import cloud_colours, clouds_picture, pictures, 
 from model.report.results import PAPER, Report
 from model.report.showcase import ShownScene
 from model.run_folder.history import read_history
-from model.run_folder.run_config import RunConfig
+from model.run_folder.run_config import RunConfig, read_config
 from scenegen import data_folder, write_text
 
 TEMPLATE = "page.html.jinja"
@@ -68,7 +68,10 @@ def write_page(
         "roundness": (roundness_chart(report),),
         "uncertainty": (*uncertainty_charts(report), *depth_error_charts(report)),
         "thresholds": calibration_curves(report.calibration),
-        "training": training_curves(read_history(run)),
+        "training": training_curves(
+            read_history(run),
+            of_uncertainty=read_config(run).settings.freeze == "all-but-uncertainty",
+        ),
     }
     every_chart = [chart for group in charts.values() for chart in group]
     for chart in every_chart:

@@ -142,6 +142,11 @@ def _prepare(out: Path, recipe: Recipe) -> None:
             earlier = TypeAdapter(Recipe).validate_json(file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             earlier = None
+        if earlier is None:
+            raise EvaluationError(
+                f"{file} is damaged, or another version of NIGHT wrote it: choose another --out, or delete "
+                f"{out}"
+            )
         if earlier != recipe:
             raise EvaluationError(
                 f"{out} holds results of another run, of its earlier weights, of another dataset or of other "

@@ -57,10 +57,30 @@ class EpochRecord:
         """Names of the values that the record has."""
         return COLUMNS[:-1] if self.validation_uncertainty is None else COLUMNS
 
-    @property
-    def of_mask_and_depth(self) -> float:
-        """The validation loss without the likelihood of the expected errors, as far as that is known."""
-        return self.validation_loss - (self.validation_uncertainty or 0.0)
+
+def kept_epoch(
+    validation_loss: Sequence[float], validation_uncertainty: Sequence[float | None], *, of_uncertainty: bool
+) -> int:
+    """Index of the epoch whose weights are kept: the first with the smallest of `compared_losses`."""
+    losses = compared_losses(validation_loss, validation_uncertainty, of_uncertainty=of_uncertainty)
+    return losses.index(min(losses))
+
+
+def compared_losses(
+    validation_loss: Sequence[float], validation_uncertainty: Sequence[float | None], *, of_uncertainty: bool
+) -> list[float]:
+    """Losses by which the epochs of a run are compared.
+
+    They are those of mask and depth, so that the uncertainty does not change which weights are kept.
+
+    Parameters
+    ----------
+    validation_uncertainty : as in `EpochRecord`; with any None, the losses are compared as they are.
+    of_uncertainty : only the uncertainty is trained, so the whole loss counts.
+    """
+    if of_uncertainty or None in validation_uncertainty:
+        return list(validation_loss)
+    return [loss - (part or 0.0) for loss, part in zip(validation_loss, validation_uncertainty, strict=True)]
 
 
 # A likelihood of depths has negative logarithms.

@@ -144,7 +144,7 @@ def _train(
         shown = settings.progress and processes.is_first
         shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
     refuse_missing_scenes(shards, dataset, settings.train_scenes)
-    refuse_other_view(shards, dataset, settings.sensor)
+    refuse_other_view(shards, dataset, settings)
     if shown and not before and not start:
         _log.info("scaling the input channels by the training scenes")
     config = _configure(dataset, shards, settings, before, start)

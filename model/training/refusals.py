@@ -8,7 +8,6 @@ from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 from typing import Final
 
-from itof.sensor.settings import SensorSettings
 from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
@@ -67,10 +66,12 @@ def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> 
         )
 
 
-def refuse_other_view(shards: Shards, dataset: Dataset, sensor: SensorSettings | None) -> None:
+def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings) -> None:
     """`TrainingError` if the camera of the settings cannot measure the images of the dataset."""
-    if sensor is not None:
-        problem = view_problem(sensor, dataset, shards.manifest.width, shards.manifest.height)
+    if settings.sensor is not None:
+        found = shards.manifest
+        frequencies_hz = settings.frequencies_hz or found.frequencies_hz
+        problem = view_problem(settings.sensor, dataset, found.width, found.height, frequencies_hz)
         if problem:
             raise TrainingError(problem)
 

@@ -21,7 +21,7 @@ from model.data.feed import Feed, window_rows
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.data.wall_fits import WallFits
-from model.run_folder.history import HISTORY_FILE, EpochRecord, write_history
+from model.run_folder.history import HISTORY_FILE, EpochRecord, compared_losses, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
 from model.settings import TrainSettings
@@ -130,14 +130,12 @@ class TrainingState:
 
     @property
     def compared_losses(self) -> list[float]:
-        """Validation losses by which epochs are compared.
-
-        They are those of mask and depth, so that the uncertainty does not change which weights are kept,
-        unless only the uncertainty is trained.
-        """
-        if self.settings.freeze == "all-but-uncertainty" or not self.tells_uncertainty:
-            return [record.validation_loss for record in self.history]
-        return [record.of_mask_and_depth for record in self.history]
+        """Validation losses by which epochs are compared (`model.run_folder.history.compared_losses`)."""
+        return compared_losses(
+            [record.validation_loss for record in self.history],
+            [record.validation_uncertainty for record in self.history],
+            of_uncertainty=self.settings.freeze == "all-but-uncertainty",
+        )
 
     @property
     def weights_bytes(self) -> int:

@@ -88,7 +88,8 @@ class TrainingStep:
         if not (isinstance(readout, MaskAndDepth) and readout.has_uncertainty):
             return output.new_zeros(())
         rest = MaskAndDepthLoss(replace(readout, has_uncertainty=False))
-        return self.judge(output, batch) - rest(output, batch.target, batch.radial_depth_m, batch.mask)
+        without = rest(output, batch.target, batch.radial_depth_m, batch.mask)
+        return self.judge(output, batch).double() - without.double()  # so that what is left is `without`
 
     def output(self, batch: Batch, network: Callable[[Tensor], Tensor]) -> Tensor:
         """(N, C, H, W) float32 output of `network`; its convolutions use the run's number type."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import os
 import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,13 +32,15 @@ _SYSTEMS = {
     "oar": "OARCluster",
     "htcondor": "HTCondorCluster",
 }
+log = logging.getLogger(__name__)
+
 _LAST_LINES = 4  # of what a batch system says, where the reason is
 _ENCRYPTED = (None, "tls", "tls://")
 
 
 @contextmanager
 def batch_cluster(
-    file: PathLike, keys_folder: PathLike, refusals: list[str] | None = None
+    file: PathLike, keys_folder: PathLike, submissions: Submissions | None = None
 ) -> Iterator[JobQueueCluster]:
     """The cluster that a configuration file of dask-jobqueue describes; no job is submitted yet.
 
@@ -47,7 +51,7 @@ def batch_cluster(
     ----------
     keys_folder : folder for the certificates, which all machines see. No other user can read them, and they
         are deleted at the end.
-    refusals : gets a sentence for each job that cannot be submitted. Dask does not try again.
+    submissions : notes which jobs the batch system takes. Dask does not submit a refused one again.
 
     Raises
     ------
@@ -56,7 +60,7 @@ def batch_cluster(
     """
     cls, given = _checked_cluster_file(file)
     folder = given.pop("shared_temp_directory", None) or keys_folder
-    job_cls = _watched(cls.job_cls, [] if refusals is None else refusals)  # type: ignore[attr-defined]
+    job_cls = _watched(cls.job_cls, submissions or Submissions())  # type: ignore[attr-defined]
     options: dict[str, Any] = {"python": f"{shlex.quote(sys.executable)} -P", **given}
     if not _shows_pages(options):
         options["scheduler_options"] = NO_DASHBOARD | (options.get("scheduler_options") or {})
@@ -69,14 +73,24 @@ def batch_cluster(
             cluster: JobQueueCluster = cls(**options, job_cls=job_cls)
             stack.enter_context(cluster)
             cluster.job_script()
+        except (OSError, RuntimeError) as error:  # of the scheduler
+            raise ClusterError(f"{file}: {' '.join(str(error).split())}") from None
         except Exception as error:  # of any class: dask-jobqueue uses the values of the file unchecked
             what = " ".join(str(error).split()) or type(error).__name__
             raise ClusterError(f"{file} does not describe a job ({what}): correct its values") from None
         yield cluster
 
 
-def _watched(job_cls: type, refusals: list[str]) -> type:
-    """The job class, which also adds a sentence to `refusals` for each job that cannot be submitted."""
+@dataclass
+class Submissions:
+    """Which jobs a batch system has taken: their number, and why it refused the others."""
+
+    accepted: int = 0
+    refusals: list[str] = field(default_factory=list)
+
+
+def _watched(job_cls: type, submissions: Submissions) -> type:
+    """The job class, which also notes what becomes of its submissions."""
     from distributed import Status
 
     class WatchedJob(job_cls):
@@ -86,9 +100,11 @@ def _watched(job_cls: type, refusals: list[str]) -> type:
             except Exception as error:  # of any class: a missing command, an exit code, or what a system adds
                 said = str(error).rpartition("stderr:")[2].strip() or str(error)
                 lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
-                refusals.append("; ".join(lines[-_LAST_LINES:]) or type(error).__name__)
+                submissions.refusals.append("; ".join(lines[-_LAST_LINES:]) or type(error).__name__)
+                log.warning("the batch system refused a job: %s", submissions.refusals[-1])
                 self.status = Status.failed  # otherwise the cluster cannot be closed
                 raise
+            submissions.accepted += 1
             return output
 
     return WatchedJob

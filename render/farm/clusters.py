@@ -9,7 +9,7 @@ from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING
 
 from render.backend import Device
-from render.farm.batch_system import batch_cluster, check_cluster_file
+from render.farm.batch_system import Submissions, batch_cluster, check_cluster_file
 from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.local_workers import local_cluster
 from render.farm.scheduler_address import CONNECT_S, check_address, check_answer
@@ -27,7 +27,7 @@ def connected(
     cluster_file: PathLike | None,
     device: Device,
     keys_folder: PathLike = ".",
-    refusals: list[str] | None = None,
+    submissions: Submissions | None = None,
 ) -> Iterator[Client]:
     """A Dask client with workers. Everything that was started for it ends with the block.
 
@@ -40,7 +40,7 @@ def connected(
     scheduler : address of a running scheduler, like ``tcp://host:8786``.
     cluster_file : configuration of dask-jobqueue (YAML with ``jobqueue: slurm: ...``).
     keys_folder : folder that all jobs see, for the certificates of their connections.
-    refusals : gets a sentence for each job that the batch system refuses.
+    submissions : notes which jobs the batch system takes.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def connected(
         if scheduler:
             client = _joined(scheduler)
         else:
-            client = _started(stack, workers, cluster_file, device, keys_folder, refusals)
+            client = _started(stack, workers, cluster_file, device, keys_folder, submissions)
         stack.enter_context(client)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         yield client
@@ -99,12 +99,12 @@ def _started(
     cluster_file: PathLike | None,
     device: Device,
     keys_folder: PathLike,
-    refusals: list[str] | None,
+    submissions: Submissions | None,
 ) -> Client:
     from distributed import Client
 
     if cluster_file:
-        cluster = stack.enter_context(batch_cluster(cluster_file, keys_folder, refusals))
+        cluster = stack.enter_context(batch_cluster(cluster_file, keys_folder, submissions))
         # adapt, unlike scale, submits a new job when the time of a job is up
         cluster.adapt(minimum_jobs=workers or 1, maximum_jobs=workers or 1)
     else:

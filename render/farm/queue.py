@@ -10,11 +10,12 @@ import logging
 import queue as threads_queue
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from render.farm.batch_system import Submissions
 from render.farm.claims import attempts_of, claimed
 from render.farm.inventory import Inventory, known_recipe
 from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
@@ -58,7 +59,7 @@ class RenderQueue:
     on_outcome : called with every answer of a worker, and with True if the scene will not be tried again.
     growth_bytes : memory that a worker may grow by before it is replaced.
     patience_s : seconds to wait for a first worker; None waits without limit, because batch jobs may queue.
-    refusals : sentences about jobs that the batch system refused (`render.farm.batch_system`).
+    submissions : which jobs the batch system takes; without any, the run ends.
     work : function that a worker calls with a job.
     tally : results so far.
     """
@@ -70,7 +71,7 @@ class RenderQueue:
     on_outcome: Callable[[Outcome, bool], None]
     growth_bytes: int = GROWTH_BYTES
     patience_s: float | None = PATIENCE_S
-    refusals: Sequence[str] = ()
+    submissions: Submissions = field(default_factory=Submissions)
     work: Callable[[Job], Outcome] = render_scene
     tally: Tally = field(default_factory=Tally)
 
@@ -144,10 +145,10 @@ class RenderQueue:
             raise QueueError(_LOST)
         if self._workers():
             return time.monotonic()
-        if self.refusals:
+        if self.submissions.refusals and not self.submissions.accepted:
             raise QueueError(
-                f"the batch system refused a job ({self.refusals[0]}): correct the --cluster file, or its "
-                "settings here"
+                f"the batch system takes no job ({self.submissions.refusals[0]}): correct the --cluster "
+                "file, or the system's settings here"
             )
         if self.patience_s is not None and time.monotonic() - since > self.patience_s:
             raise QueueError(

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from render.backend import select_variant
 from render.edited_scenes import refuse_edited, refuse_measured, without_effect
+from render.farm.batch_system import Submissions
 from render.farm.claims import joined_run, refuse_other_run
 from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
@@ -228,14 +229,14 @@ def _grouped(dataset: Dataset, todo: Sequence[str]) -> list[str]:
 
 
 def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], options: RunOptions) -> Tally:
-    run_id, refusals = secrets.token_hex(8), list[str]()
+    run_id, submissions = secrets.token_hex(8), Submissions()
     connection = connected(
         workers=min(options.workers, len(todo)) if options.workers else None,
         scheduler=options.scheduler,
         cluster_file=options.cluster_file,
         device=settings.device,
         keys_folder=dataset.renders.resolve(),
-        refusals=refusals,
+        submissions=submissions,
     )
     with connection as client, showing_progress(len(todo), "scene", "render", show=options.progress) as bar:
         inventory, failed = Inventory(dataset, settings), 0
@@ -254,7 +255,7 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
 
         queue = RenderQueue(client, dataset, settings, run_id, note, options.growth_bytes)
         if options.cluster_file:
-            queue.patience_s, queue.refusals = None, refusals
+            queue.patience_s, queue.submissions = None, submissions
         try:
             return queue.run(_grouped(dataset, todo))
         finally:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
-from errno import EACCES, EAGAIN, EBADF, ELOOP, ENOLCK, ENOTSUP
+from errno import EACCES, EAGAIN, ELOOP, ENOLCK, ENOTSUP
 from pathlib import Path
 
 from scenegen.night_error import NightError
 
-_NO_LOCKS = (ENOLCK, ENOTSUP, EBADF)  # EBADF: of a folder on NFS, which locks only what is open for writing
+_NO_LOCKS = (ENOLCK, ENOTSUP)
 
 
 class LockFileError(NightError):

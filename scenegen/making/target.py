@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from errno import EBADF
 from pathlib import Path
 from types import MappingProxyType
 
@@ -28,7 +29,8 @@ def alone_in(root: Path) -> Iterator[None]:
     """Be the only process that makes scenes in the folder `root`, which is made if it is missing.
 
     Two processes would remove each other's scenes as those of an interrupted run. The lock is that of the
-    folder itself, so it leaves no file. A folder that was made here and is still empty at the end is removed.
+    folder itself, so it leaves no file. NFS locks only what is open for writing, and no folders: there,
+    nobody is refused. Folders that were made here and are still empty at the end are removed.
 
     Raises
     ------
@@ -37,20 +39,30 @@ def alone_in(root: Path) -> Iterator[None]:
     if os.path.lexists(root) and not root.is_dir():
         yield  # `check_target` refuses it
         return
-    is_new = not root.exists()
+    new = [folder for folder in (root, *root.parents) if not folder.exists()]
     root.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        if not lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB):
+        if not _locked(descriptor):
             raise DatasetError(f"another night-gen is making scenes in {root}: wait until it has ended")
         try:
             yield
         finally:
-            if is_new:
-                with suppress(OSError):
-                    root.rmdir()  # fails if anything is in it
+            with suppress(OSError):  # of a folder with anything in it
+                for folder in new:
+                    folder.rmdir()
     finally:
         os.close(descriptor)
+
+
+def _locked(folder: int) -> bool:
+    """Lock an open folder; False if another process has the lock."""
+    try:
+        return lock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno != EBADF:  # NFS
+            raise
+        return True
 
 
 def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES) -> None:
