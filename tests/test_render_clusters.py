@@ -130,7 +130,7 @@ def test_a_refused_job_ends_the_run_with_the_reason(slurm, unrendered, sbatch, w
 
 @pytest.mark.long
 def test_one_refused_job_of_several_does_not_end_the_run(slurm, unrendered):
-    limited = '[ "$(ls "$JOBS" | grep -c "^pid")" -lt 1 ] || { echo "job limit" >&2; exit 1; }\n'
+    limited = 'mkdir "$JOBS/taken" 2>/dev/null || { echo "job limit" >&2; exit 1; }\n'
     (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + limited))
     (slurm / "cluster.yaml").write_text(
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
