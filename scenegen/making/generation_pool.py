@@ -49,29 +49,18 @@ def generate_in_processes(
     WorkerError : a worker was killed.
     DatasetError, SamplingError : as `generate`.
     """
-    with alone_in(root):
-        return _generated(root, preset, make_maker, on_scene, workers, meshes)
-
-
-def _generated(
-    root: Path,
-    preset: Preset,
-    make_maker: Callable[[], Maker],
-    on_scene: Callable[[], None],
-    workers: int,
-    meshes: Mapping[str, str],
-) -> Dataset:
-    prepare(root, preset, meshes)
     count = preset.dataset.count
     chunks = [range(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
     workers = min(workers, len(chunks))
     try:
-        with worker_pool(workers, _start_worker, root, preset, make_maker) as pool:
-            version = submit(pool, _version_in_worker)
-            made: Iterator[SceneEntry] = chain.from_iterable(
-                results_in_order(pool, _write_in_worker, chunks, 2 * workers)
-            )
-            return finish(root, preset, meshes, reported(made, on_scene), version.result())
+        with alone_in(root):
+            prepare(root, preset, meshes)
+            with worker_pool(workers, _start_worker, root, preset, make_maker) as pool:
+                version = submit(pool, _version_in_worker)
+                made: Iterator[SceneEntry] = chain.from_iterable(
+                    results_in_order(pool, _write_in_worker, chunks, 2 * workers)
+                )
+                return finish(root, preset, meshes, reported(made, on_scene), version.result())
     except BrokenProcessPool:
         raise WorkerError(KILLED) from None
 
