@@ -100,7 +100,7 @@ def read_recipe(recipe: str) -> dict[str, Any]:
     """Contents of a recipe; an empty dictionary if the text is not a recipe."""
     try:
         content = json.loads(recipe)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 

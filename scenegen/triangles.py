@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,24 +35,34 @@ def read_triangles(contents: bytes, kind: str, origin: str) -> tuple[NDArray[np.
 
     options = {"skip_materials": True} if kind == "ply" else {}  # a comment may name a picture
     try:
-        mesh = trimesh.load_mesh(io.BytesIO(contents), file_type=kind, process=False, **options)
+        scene = trimesh.load_scene(io.BytesIO(contents), file_type=kind, process=False, **options)
+        _refuse_many(_count(scene), origin)  # before they are made: nodes may repeat one mesh
+        mesh = scene.to_mesh()
         vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
         triangles = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
-    except MemoryError:
+    except (MemoryError, MeshError):
         raise
     except Exception as error:  # trimesh's parsers raise errors of any class on damaged files
         raise MeshError(f"mesh {origin} cannot be read as {kind.upper()}: {error}") from None
     if len(triangles) == 0:
         raise MeshError(f"mesh {origin} has no triangles")
-    if len(triangles) > MAX_TRIANGLES:
-        raise MeshError(
-            f"mesh {origin} has {len(triangles)} triangles: simplify it to at most {MAX_TRIANGLES}"
-        )
+    _refuse_many(len(triangles), origin)
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise MeshError(f"mesh {origin} is damaged: its faces name vertices that it does not have")
     if not np.isfinite(vertices).all():
         raise MeshError(f"mesh {origin} has vertices that are infinite or not a number")
     return vertices, triangles
+
+
+def _count(scene: Any) -> int:
+    """Number of the triangles of all nodes."""
+    names = (scene.graph[node][1] for node in scene.graph.nodes_geometry)
+    return sum(len(getattr(scene.geometry[name], "faces", ())) for name in names)
+
+
+def _refuse_many(count: int, origin: str) -> None:
+    if count > MAX_TRIANGLES:
+        raise MeshError(f"mesh {origin} has {count} triangles: simplify it to at most {MAX_TRIANGLES}")
 
 
 def scene_triangles(contents: bytes, origin: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:

@@ -3,14 +3,17 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from previews import grey_view
 
-from render.products.card import CardError, checked_licence, dataset_card, read_card
+from render.products.card import CardError, EarlierCard, checked_licence, dataset_card, read_card
 from render.products.distributions import ratio_sentence, read_distributions
 from render.products.preview import check_preview, write_preview
-from scenegen import RenderingRecord, open_dataset, write_rendering_record
+from scenegen import Dataset, RenderingRecord, open_dataset, write_rendering_record
+from scenegen.dataset import MEASURED_GENERATOR
+from scenegen.preset import CameraSpread
 
 
 def test_the_cards_numbers_are_the_datasets(corners):
@@ -114,3 +117,26 @@ def test_pictures_of_the_user_in_the_preview_are_kept(corners):
             refused(corners, ["000000"], None)
     assert sheet.read_bytes() == b"\x89PNG, mine"
     assert notes.read_text() == "mine"
+
+
+def test_the_card_of_captures_does_not_speak_of_blender_and_mitsuba(corners):
+    measured = Dataset(corners.root, replace(corners.index, generator=MEASURED_GENERATOR))
+    card = dataset_card(measured, read_distributions(corners, lambda: None), None)
+    assert "captured with an indirect time-of-flight camera" in card
+    for words in ("synthetic", "Blender", "Mitsuba", "depends on the seed", "to make the scenes again"):
+        assert words not in card
+
+
+def test_the_card_says_that_fields_of_view_differ(corners):
+    spread = replace(corners.preset, camera_spread=CameraSpread(horizontal_fov_deg=5.0))
+    many = Dataset(corners.root, replace(corners.index, preset=spread))
+    card = dataset_card(many, read_distributions(corners, lambda: None), None)
+    assert "horizontal field of view 55 to 65 degrees, that of each scene" in card
+
+
+@pytest.mark.parametrize("licence", ["[" * 100_000, "1" * 5000])
+def test_a_licence_that_is_no_text_is_none(corners, licence):
+    (corners.root / "README.md").write_text(
+        f"<!-- night-gen preview writes this file; licence: {licence} -->"
+    )
+    assert read_card(corners) == EarlierCard(is_ours=True, licence=None)

@@ -13,11 +13,12 @@ import pytest
 
 from render.farm.claims import OtherRunError, attempts_of, claimed, joined_run, refuse_other_run, running
 from render.farm.inventory import Inventory
+from render.farm.note import note_rendering
 from render.farm.plan import make_plan, size
 from render.farm.status import duration, read_status
 from render.options import ManyLightOptions, PathOptions
 from render.settings import RenderError, RenderSettings, settings_for, settings_of
-from scenegen import RECORD_FILE, RenderingRecord, open_dataset, read_record
+from scenegen import RECORD_FILE, RenderingRecord, open_dataset, read_recipe, read_record, write_record
 
 SETTINGS = RenderSettings(product="both", options=ManyLightOptions(error=0.05))  # of the shared renders
 
@@ -136,6 +137,28 @@ def test_a_claim_is_one_process_s_and_dies_with_it(tmp_path):
     assert running(tmp_path) == []
     with claimed(tmp_path, "000007") as claim:
         assert claim is not None
+
+
+@pytest.mark.parametrize("damage", [b"[" * 4096, b'{"a": Infinity}', b"\xff", b"[1]"])
+def test_a_damaged_claim_counts_no_attempts(tmp_path, damage):
+    (tmp_path / ".claims").mkdir()
+    (tmp_path / ".claims" / "000001").write_bytes(damage)
+    assert attempts_of(tmp_path, "000001", "a") == 0
+    with claimed(tmp_path, "000001") as claim:
+        assert claim.begin("a") == 1
+
+
+@pytest.mark.parametrize("forged", ["0.00x", "nan", "-1", "inf", ""])
+def test_a_forged_error_of_a_render_is_no_error(rendered, forged):
+    scene_id = rendered.ids()[0]
+    record = read_record(rendered.render_folder(scene_id))
+    attributes = {**record.attributes, "hidden_error": forged}
+    write_record(rendered.render_folder(scene_id), replace(record, attributes=attributes))
+    deep = read_record(rendered.render_folder(rendered.ids()[1]))
+    write_record(rendered.render_folder(rendered.ids()[1]), replace(deep, recipe="[" * 100_000))
+    note_rendering(rendered, SETTINGS, True, finished=True)
+    assert 0 < rendered.rendering.hidden_error_max < 0.06  # of the third scene
+    assert read_recipe("[" * 100_000) == {}
 
 
 def test_runs_of_the_same_settings_go_together_and_others_wait(tmp_path):

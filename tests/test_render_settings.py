@@ -1,6 +1,7 @@
 """Settings of a run: those of before where none are given, refused where they do not fit, kept on record."""
 
 import json
+import shutil
 
 import pytest
 from night_commands import night_here, refusal
@@ -23,6 +24,17 @@ def test_other_settings_replace_nothing_unasked(rendered_copy, seven_renders, re
     done = render_here(rendered_copy, "--replace", "--only", "000003", *FEWER)
     assert done.stdout.startswith("1 scenes rendered")
     assert '"lights": 64' in read_record(rendered_copy / "renders" / "000003").recipe
+
+
+def test_some_scenes_do_not_get_other_settings_than_the_rest(rendered_copy, render_here):
+    shutil.rmtree(rendered_copy / "renders" / "000003")
+    before = results(rendered_copy)
+    refused = render_here(rendered_copy, "--only", "000003", *FEWER)
+    assert refused.returncode == 2
+    assert "scene 000000 of" in refused.stderr
+    assert "all scenes of a dataset have the same" in refused.stderr
+    assert results(rendered_copy) == before
+    assert render_here(rendered_copy, "--only", "000003").stdout.startswith("1 scenes rendered")
 
 
 def test_a_recorded_size_that_does_not_fit_the_camera_names_the_file(rendered_copy):

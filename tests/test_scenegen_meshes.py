@@ -1,6 +1,8 @@
 """The user's meshes as hidden objects: size, place and facing, and files that are refused."""
 
+import io
 import re
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -119,6 +121,22 @@ def ply_of(vertices, faces):
     return ("\n".join(lines) + "\n").encode()
 
 
+def zipped(data):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("mine.ply", data)
+    return stream.getvalue()
+
+
+def repeated(count):
+    """A small file whose nodes all show the same sphere of 20480 triangles."""
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.icosphere(subdivisions=5), geom_name="ball")
+    for place in range(1, count):
+        scene.graph.update(frame_to=f"n{place}", geometry="ball")
+    return scene.export(file_type="glb")
+
+
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 
 
@@ -133,6 +151,8 @@ SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
         ("ply", exported(wedge())[:-20], "cannot be read as PLY"),
         ("stl", exported(wedge(), "stl")[:-20], "no triangles"),
         ("txt", b"hello", "no known format"),
+        ("zip", zipped(exported(wedge())), "no known format"),
+        ("glb", repeated(100), "has 2048000 triangles: simplify it"),
         ("ply", ply_of(SQUARE, []), "no triangles"),
         ("ply", ply_of([*SQUARE[:3], (0, 0, "nan")], [(0, 1, 2)]), "infinite or not a number"),
         ("ply", ply_of([*SQUARE[:2], ("inf", 1, 0)], [(0, 1, 2)]), "infinite or not a number"),

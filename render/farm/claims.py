@@ -165,5 +165,5 @@ def _counts(text: bytes) -> dict[str, int]:
     try:
         content = json.loads(text)
         return {str(run): int(count) for run, count in content.items()}
-    except (ValueError, AttributeError, TypeError):
+    except (ValueError, AttributeError, TypeError, OverflowError, RecursionError):
         return {}

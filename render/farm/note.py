@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import statistics
+from collections.abc import Collection
 from dataclasses import asdict, replace
 from importlib.metadata import version
 
@@ -66,6 +68,33 @@ def _rendered_errors(dataset: Dataset, settings: RenderSettings) -> list[float |
             continue
         recipe = read_recipe(record.recipe)
         if all(recipe.get(key) == value for key, value in common.items()):
-            error = record.attributes.get("hidden_error")
-            errors.append(float(error) if error is not None else None)
+            errors.append(_number(record.attributes.get("hidden_error")))
     return errors
+
+
+def _number(text: str | None) -> float | None:
+    """A finite number from 0 on; None for anything else."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if 0 <= value < math.inf else None
+
+
+def rendered_otherwise(dataset: Dataset, settings: RenderSettings, scenes: Collection[str]) -> str | None:
+    """A scene beside `scenes` that is rendered with the recorded settings, if these are not `settings`.
+
+    None if there is none: then the scenes may be rendered with `settings`.
+    """
+    before = dataset.rendering
+    if before is None:
+        return None
+    common = settings_of(before, dataset).common_recipe(dataset)
+    if common == settings.common_recipe(dataset):
+        return None
+    for scene_id in dataset.ids():
+        if scene_id not in scenes and (record := read_record(dataset.render_folder(scene_id))) is not None:
+            recipe = read_recipe(record.recipe)
+            if all(recipe.get(key) == value for key, value in common.items()):
+                return scene_id
+    return None

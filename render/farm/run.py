@@ -15,7 +15,7 @@ from render.farm.claims import joined_run, refuse_other_run
 from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
 from render.farm.jobs import GROWTH_BYTES, Outcome
-from render.farm.note import note_rendering
+from render.farm.note import note_rendering, rendered_otherwise
 from render.farm.plan import Plan, make_plan
 from render.farm.queue import QueueError, RenderQueue, Tally
 from render.farm.run_log import LOG_FILE, log_file, log_outcome, logged
@@ -159,6 +159,12 @@ def _look(
     options: RunOptions,
     say: Callable[[str], object],
 ) -> _Found:
+    other = None if options.replace else rendered_otherwise(dataset, settings, set(scenes))
+    if other is not None:
+        raise RenderError(
+            f"scene {other} of {dataset.root} is rendered with other settings, and all scenes of a dataset "
+            "have the same: leave the options out to go on with the earlier settings, or give --replace"
+        )
     inventory = Inventory(dataset, settings)
     with showing_progress(len(scenes), "scene", "look", show=options.progress) as bar:
         states = inventory.states(scenes, bar.update)

@@ -45,7 +45,7 @@ def read_card(dataset: Dataset) -> EarlierCard:
     mark = _MARK.search(file.read_text(encoding="utf-8", errors="replace")) if file.is_file() else None
     try:
         licence = json.loads(mark["licence"]) if mark else None
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
         licence = None
     return EarlierCard(is_ours=mark is not None, licence=licence if isinstance(licence, str) else None)
 
@@ -81,6 +81,14 @@ def dataset_card(dataset: Dataset, found: Distributions, licence: str | None) ->
 
 def _about(dataset: Dataset, found: Distributions) -> str:
     rendered = len(found.object_pixels)
+    if dataset.is_measured:
+        return (
+            f"{len(dataset.ids())} look-behind-a-corner scenes, captured with an indirect time-of-flight "
+            "camera that looks at a wall. A small part of the light that returns to it has met an object "
+            "hidden behind a corner. Each scene has the measurement of the camera and, as ground truth, the "
+            "radial depth of the object's mirror image, from a capture of a mirror on the wall. Made with "
+            "NIGHT."
+        )
     return (
         f"{len(dataset.ids())} synthetic look-behind-a-corner scenes, {rendered} of them rendered. An "
         "indirect time-of-flight camera looks at a wall. A small part of the light that returns to it has "
@@ -116,7 +124,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
     hertz = ", ".join(f"{frequency_hz / 1e6:g} MHz" for frequency_hz in preset.itof.frequencies_hz)
     unambiguous_m = float(unambiguous_range_m(preset.itof.frequencies_hz[0]))
     return [
-        ("images", f"{asked}, {rendered}; horizontal field of view {camera.horizontal_fov_deg:g} degrees"),
+        ("images", f"{asked}, {rendered}; horizontal field of view {_fov_text(preset)}"),
         ("frequencies", f"{hertz}; the first is unambiguous over {unambiguous_m:.2f} m of depth"),
         ("time axis", bins),
         ("light paths", f"at most {axis.max_bounces} surfaces"),
@@ -126,15 +134,28 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
     ]
 
 
+def _fov_text(preset: Preset) -> str:
+    fov_deg, spread_deg = preset.camera.horizontal_fov_deg, preset.camera_spread.horizontal_fov_deg
+    if not spread_deg:
+        return f"{fov_deg:g} degrees"
+    ends = f"{fov_deg - spread_deg:g} to {fov_deg + spread_deg:g} degrees"
+    return f"{ends}, that of each scene in its `scene.json`"
+
+
 def _making(dataset: Dataset) -> str:
     index, rendering = dataset.index, dataset.rendering
-    made = [("scenes by", f"{index.generator} {index.generator_version}, Blender {index.blender_version}")]
-    made.append(("seed", f"{index.seed}; scene *i* depends on the seed and *i* alone"))
+    if dataset.is_measured:
+        made = [("scenes by", f"{index.generator} {index.generator_version}")]
+        made.append(("in `scene.json`", "a sphere about what the mirror showed; its material is not known"))
+    else:
+        blender = f"Blender {index.blender_version}"
+        made = [("scenes by", f"{index.generator} {index.generator_version}, {blender}")]
+        made.append(("seed", f"{index.seed}; scene *i* depends on the seed and *i* alone"))
     if index.packages:
         made.append(("packages of the scenes", _versions(index.packages)))
     made += [(f"mesh `{shape}`", f"SHA-256 {digest}") for shape, digest in index.meshes.items()]
     if rendering is None:
-        made.append(("rendering", "not recorded"))
+        made.append(("rendering", "none: measured" if dataset.is_measured else "not recorded"))
     else:
         options = ", ".join(
             f"{name} {value}" for name, value in rendering.options.items() if value is not None
@@ -149,7 +170,7 @@ def _making(dataset: Dataset) -> str:
             ("packages of the renders", _versions(rendering.packages)),
         ]
     changes = dict(_differences(index.preset))
-    if set(changes) <= {"dataset.count", "dataset.seed"}:
+    if set(changes) <= {"dataset.count", "dataset.seed"} and not dataset.is_measured:
         count = index.preset.dataset.count
         made.append(
             ("to make the scenes again", f"`night-gen scenes OUT --count {count} --seed {index.seed}`")
@@ -165,10 +186,12 @@ def _making(dataset: Dataset) -> str:
 
 def _reading(dataset: Dataset, found: Distributions) -> str:
     scene_id = next(iter(found.object_pixels), dataset.ids()[0])
+    drawn = "" if dataset.is_measured else ", and as Mitsuba 3 files with their meshes"
+    files = f"the scene as data{drawn}"
     return f"""Each scene has its own folder. All images are OpenEXR files with 32-bit floats.
 
 - `dataset.json`: the scene list (id, class, split) and the preset
-- `scenes/{scene_id}/`: the scene as data, and as Mitsuba 3 files with their meshes
+- `scenes/{scene_id}/`: {files}
 - `renders/rendering.json`: how the scenes were rendered
 - `renders/{scene_id}/{MEASUREMENT_FILE}`: complex phasors `itof.<f>MHz.Re`, `.Im`
 - `renders/{scene_id}/{GROUND_TRUTH_FILE}`: `{DEPTH_CHANNEL}` (radial depth in metres, 0 on background),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
@@ -16,6 +15,7 @@ from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.triangles import MeshError, read_triangles
 
+FORMATS = ("ply", "stl", "obj", "off", "glb")  # trimesh also reads archives, which unpack to any size
 MAX_FILE_BYTES = 2**30  # two million triangles as text take about half of it
 _EXTENT_RANGE = (1e-30, 1e30)  # float64 holds the squares and products of such lengths
 _FLOAT32_STEP = float(np.finfo(np.float32).eps)  # accuracy of coordinates in the unit box
@@ -59,9 +59,10 @@ def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
 
 
 def read_mesh(file: Path) -> UserMesh:
-    """Read a mesh in any single-file format that trimesh supports (PLY, STL, OBJ, OFF, GLB, ...).
+    """Read a mesh file: PLY, STL, OBJ, OFF or GLB.
 
-    All objects of the file become one mesh, and polygons become triangles. Vertices at the same position are
+    All objects of the file become one mesh. Polygons become triangles that meet in their first corner, which
+    is right for convex ones only. Vertices at the same position are
     merged. Triangles without area are removed. Of triangles with the same vertices only the first is kept,
     whichever way it faces: a hidden object reflects on both sides, so a surface that is modelled with two
     sides would count twice. The result depends only on the bytes of the file.
@@ -75,7 +76,7 @@ def read_mesh(file: Path) -> UserMesh:
     kind = file.suffix.lower().removeprefix(".")
     if not contents:
         raise MeshError(f"mesh {file} is empty")
-    if kind not in trimesh.available_formats():
+    if kind not in FORMATS:
         raise MeshError(f"mesh {file} is in no known format: convert it to .ply, .stl, .obj, .off or .glb")
     vertices, triangles = read_triangles(contents, kind, str(file))
     unit, kept = _in_unit_box(file, vertices, triangles)
