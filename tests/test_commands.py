@@ -33,7 +33,7 @@ def test_the_four_commands_go_from_nothing_to_a_judged_depth_map(pipeline):
     dataset = open_dataset(folder / "data")
     assert pipeline.gen.stdout == f"7 scenes in {folder / 'data'}: 4 train, 2 validation, 1 test\n"
     assert pipeline.render.stdout.startswith("7 scenes rendered, 0 were there")
-    assert pipeline.train.stdout.startswith("2 epochs, ended by max_epochs; best validation loss ")
+    assert pipeline.train.stdout.startswith("2 epochs, ended by max_epochs; best epoch ")
     assert "no object" in pipeline.eval.stdout
     for scene_id in dataset.ids():
         truth = read_image(dataset.render_folder(scene_id) / "mirrored.exr")

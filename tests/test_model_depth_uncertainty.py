@@ -9,6 +9,7 @@ import pytest
 import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
+from synthetic_dataset import write_synthetic_dataset
 from training_runs import FLIP, config_of, edit_checkpoint, settings
 
 from itof import DepthMap, ImageFileError, depth_from_phase, read_image
@@ -202,13 +203,11 @@ def test_a_trained_network_gets_a_head_for_its_errors_and_keeps_its_depth(
     plain_run, closed_form_scenes, tmp_path, shards
 ):
     chosen = UNSURE | {"freeze": "all-but-uncertainty", "max_epochs": 3}
-    train(closed_form_scenes, tmp_path / "run", settings(**chosen), start_from=plain_run)
+    others = write_synthetic_dataset(tmp_path / "others", count=12, dataset={"count": 12, "seed": 8})
+    train(others, tmp_path / "run", settings(**chosen), start_from=plain_run)
     before, now = (load_file(run / "best.safetensors") for run in (plain_run, tmp_path / "run"))
-    same = {name for name, weight in before.items() if torch.equal(weight, now[name])}
-    # The factor on the logits is fitted again, to the same scenes: it is 1 to rounding.
-    assert {name.split(".")[0] for name in before.keys() - same} <= {"head"}
-    for name, weight in before.items():
-        torch.testing.assert_close(now[name], weight, rtol=1e-3, atol=1e-6)
+    # On other scenes, another factor on the logits would fit; the mask keeps its own.
+    assert all(torch.equal(weight, now[name]) for name, weight in before.items())
     z = open_shards(closed_form_scenes).complex_phasors([0, 1])
     old, new = (load(run, "cpu").predict(z) for run in (plain_run, tmp_path / "run"))
     np.testing.assert_array_equal(old.mask, new.mask)

@@ -110,6 +110,10 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert (report["mask_from"], report["mask_threshold"]) == ("depth", None)
+    assert "best_on_validation" not in json.dumps(report)
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert "there is no threshold to choose" in page
+    assert "The highest mIoU on the validation split" not in page
     for given in (("--mask-from", "amplitude"), ("--mask-threshold", 0.4)):
         assert "predicts depth and no amplitude" in refusal(*judge, *given)
 

@@ -12,6 +12,7 @@ from training_runs import assert_same_end, before_each_network, checkpoint, sett
 from model.data.rows import RowLayout
 from model.run_folder.run_config import RunError, run_settings
 from model.settings import settings_from_dict
+from model.training.log import TrainingLog
 from model.training.loop import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -200,6 +201,36 @@ def test_a_schedule_that_ends_with_the_run_cannot_be_made_longer(closed_form_sce
     train(closed_form_scenes, tmp_path / "run", settings(**ending))
     with pytest.raises(RunError, match=r"max_epochs was 1 and is now 2 \(the learning rate's schedule"):
         train(closed_form_scenes, tmp_path / "run", settings(**ending | {"max_epochs": 2}), resume=True)
+
+
+def test_a_run_that_ended_before_its_first_checkpoint_writes_one_before_it_goes_on(
+    closed_form_scenes, finished_copy, monkeypatch
+):
+    for name in ("checkpoint.pt", "best.safetensors", "history.csv"):
+        (finished_copy / name).unlink()
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("model.training.loop.train_epoch", killed)
+    with pytest.raises(KeyboardInterrupt):
+        train(closed_form_scenes, finished_copy, settings(), resume=True)
+    assert checkpoint(finished_copy)["history"] == []
+
+
+def test_shards_that_another_command_removes_do_not_end_a_training_that_holds_its_scenes(
+    tmp_path, monkeypatch
+):
+    dataset, pictures = write_synthetic_dataset(tmp_path / "data", count=12), []
+
+    def wanted(self, epoch):
+        shutil.rmtree(dataset.root / "shards", ignore_errors=True)
+        pictures.append(epoch)
+        return True
+
+    monkeypatch.setattr(TrainingLog, "wants_pictures", wanted)
+    train(dataset, tmp_path / "run", settings(max_epochs=2))
+    assert pictures == [1, 2]
 
 
 def test_resuming_on_another_dataset_is_refused(finished_copy, tmp_path):

@@ -16,6 +16,7 @@ from training_runs import edit_weights
 
 from itof import DepthMap
 from model.prediction.predictor import load
+from model.report.refined_figure import write_refined_figure
 from model.report.refinement import refine_split
 from model.report.refusals import EvaluationError
 from model.run_folder.shipped import run_folder
@@ -203,3 +204,10 @@ def test_workers_end_when_their_command_is_killed(dataset, tmp_path):
     command.kill()
     command.wait()
     assert not psutil.wait_procs(workers, timeout=60)[1]
+
+
+def test_a_mesh_of_any_name_is_drawn(refined, dataset, tmp_path):
+    depth_map = DepthMap.read(refined[0] / "scenes" / "000000.exr")
+    write_refined_figure(tmp_path / "a.png", [("000001 mesh:price$^$.ply", *(depth_map,) * 3)])
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size[0] > 200

@@ -65,6 +65,12 @@ class Feed:
         if self.is_resident and self._held is None:
             self._held = self._prepare(self._shards.read(self.distinct_rows))
 
+    def first(self, count: int) -> RowBlock:
+        """The first `count` rows, prepared, or all if there are fewer."""
+        rows = self.distinct_rows[:count]
+        self.hold()
+        return self._prepare(self._shards.read(rows)) if self._held is None else self._held.take(rows)
+
     def shuffled_windows(self, generator: torch.Generator) -> list[list[int]]:
         """All `rows` in random order, in the windows in which `in_windows` reads them."""
         return shuffled_windows(self.rows, self._per_piece, self.window_rows, generator)

@@ -62,6 +62,16 @@ class Calibration:
     validation: ThresholdCurve | None
 
     @property
+    def has_amplitude(self) -> bool:
+        """Whether masks can depend on a threshold of the amplitude; networks of the depth have none."""
+        return self.run_readout.target != "depth"
+
+    @property
+    def best_on_validation(self) -> ThresholdPoint | None:
+        """The best point of the validation split; None without one, or without an amplitude."""
+        return self.validation.best if self.validation and self.has_amplitude else None
+
+    @property
     def run_threshold(self) -> float:
         """Threshold of the amplitude in the settings of the run."""
         return self.run_readout.mask_threshold

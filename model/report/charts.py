@@ -261,8 +261,7 @@ def _sweep(name: str, label: str, calibration: Calibration, field: str, scale: f
     for colour, curve in splits:
         values = tuple(scale * getattr(point, field) for point in curve.points)
         parts.append(Curve(curve.split, colour, tuple(p.threshold for p in curve.points), values))
-    if validation is not None:
-        best = validation.best
+    if (best := calibration.best_on_validation) is not None:
         colour = splits[-1][0]  # the validation split's
         parts.append(Curve("", colour, (best.threshold,), (scale * getattr(best, field),), "rings"))
     return Chart(name, "mask threshold", label, tuple(parts))

@@ -10,7 +10,7 @@ from typing import Any
 
 from model.data.shards import open_shards
 from model.network.wall_view import wall_view
-from model.prediction.predictor import load
+from model.prediction.predictor import Predictor, load
 from model.report.judging import Bench, judge_split, shown_scenes
 from model.report.page import write_page
 from model.report.refusals import (
@@ -26,9 +26,13 @@ from model.report.refusals import (
 from model.report.report_files import write_files
 from model.report.results import Report
 from model.report.showcase import choose, choose_for_figures
+from model.run_folder.history import read_history
 from model.run_folder.shipped import run_folder
+from model.run_folder.weights import WEIGHTS_FILE
 from model.settings import DeviceName, MaskSource
-from scenegen import Dataset, PathLike, Split, whole_folder
+from scenegen import Dataset, PathLike, Split, sha256_of, whole_folder
+
+_TRIES = 3  # to read weights and history of a run that goes on
 
 
 def evaluate(
@@ -79,7 +83,7 @@ def evaluate(
     refuse_other_contents(out)
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):
         raise EvaluationError(f"a mask threshold is an amplitude above 0, got {mask_threshold:g}")
-    predictor = load(run, device)
+    predictor, history = _loaded(run, device)
     refuse_other_masks(predictor.config, mask_from, mask_threshold)
     if mask_threshold is not None and (mask_from or predictor.config.readout.mask_from) == "depth":
         raise EvaluationError(
@@ -104,10 +108,19 @@ def evaluate(
         report = judge_split(bench, split, clouds)
         shown = shown_scenes(bench, choose(report.ranked))
         figured = shown_scenes(bench, choose_for_figures(report.ranked, scenes))
-        write_page(folder, report, shown, figured, run, predictor.config, _origin(bench, run))
+        write_page(folder, report, shown, figured, history, predictor.config, _origin(bench, run))
         write_files(folder, report, _origin(bench, run))
         refuse_other_contents(out)  # which may have got other files meanwhile
     return report
+
+
+def _loaded(run: Path, device: DeviceName) -> tuple[Predictor, dict[str, list[float]]]:
+    """The network of a run and its history, of the same moment although the run may go on."""
+    for _ in range(_TRIES):
+        predictor, history = load(run, device), read_history(run)
+        if sha256_of(run / WEIGHTS_FILE) == predictor.weights_sha256:
+            break
+    return predictor, history
 
 
 def _origin(bench: Bench, run: Path) -> dict[str, Any]:

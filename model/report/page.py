@@ -31,8 +31,7 @@ from model.report.report_files import GROUP_HEAD, SUMMARY_HEAD, group_texts, sum
 from model.report.report_scenes import cloud_colours, clouds_picture, pictures, point_clouds, scenes_picture
 from model.report.results import PAPER, Report
 from model.report.showcase import ShownScene
-from model.run_folder.history import read_history
-from model.run_folder.run_config import RunConfig, read_config
+from model.run_folder.run_config import RunConfig
 from scenegen import data_folder, write_text
 
 TEMPLATE = "page.html.jinja"
@@ -49,7 +48,7 @@ def write_page(
     report: Report,
     shown: Sequence[ShownScene],
     figured: Sequence[ShownScene],
-    run: Path,
+    history: Mapping[str, Sequence[float]],
     config: RunConfig,
     origin: Mapping[str, Any],
 ) -> None:
@@ -59,6 +58,7 @@ def write_page(
     ----------
     shown : the scenes to show one by one, as pictures and as point clouds.
     figured : the scenes to show in the figures of several scenes.
+    history : columns of the run's ``history.csv``, as it was with the weights that were judged.
     origin : what was judged on what, as plain data.
     """
     figures = out / "figures"
@@ -69,8 +69,8 @@ def write_page(
         "uncertainty": (*uncertainty_charts(report), *depth_error_charts(report)),
         "thresholds": calibration_curves(report.calibration),
         "training": training_curves(
-            read_history(run),
-            of_uncertainty=read_config(run).settings.freeze == "all-but-uncertainty",
+            history,
+            of_uncertainty=config.settings.freeze == "all-but-uncertainty",
         ),
     }
     every_chart = [chart for group in charts.values() for chart in group]
@@ -173,8 +173,9 @@ def _threshold(calibration: Calibration) -> dict[str, Any]:
 
     ``own`` is None if the masks of the run are those of the depth.
     """
-    best = calibration.validation.best if calibration.validation else None
+    best = calibration.best_on_validation
     return {
+        "has_amplitude": calibration.has_amplitude,
         "own": calibration.judged.at(calibration.run_threshold)
         if calibration.run_readout.mask_from == "amplitude"
         else None,

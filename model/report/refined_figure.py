@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from itof import DepthMap
 from model.network.metrics import image_metrics
-from model.prediction.figures import depth_range, finish_panels, write_figure
+from model.prediction.figures import depth_range, finish_panels, plain, write_figure
 
 MOST_SCENES = 12
 _COLUMNS, _SIDE_IN = 2, 1.75  # scenes in a row; size of a depth map, inches
@@ -32,7 +32,7 @@ def write_refined_figure(file: Path, scenes: Sequence[tuple[str, DepthMap, Depth
         row, column = divmod(place, _COLUMNS)
         panels = grid[row, count * column : count * (column + 1)]
         near_m, far_m = depth_range(truth, *found)
-        titles = [name]
+        titles = [plain(name)]
         for each in found:
             metrics = image_metrics(each.radial_depth_m, each.mask, truth.radial_depth_m, truth.mask)
             titles.append(f"{100 * metrics.depth_mae_m:.1f} cm, {metrics.miou:.2f}")

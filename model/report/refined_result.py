@@ -85,7 +85,8 @@ class RefinementReport:
         for name, scenes in groups:
             before, after = ([getattr(s, part).metrics() for s in scenes] for part in ("network", "refined"))
             cells = [*summary_cells(summarise(before)), *summary_cells(summarise(after))]
-            rows.append(f"| {name.replace('_', ' ')} | {len(scenes)} | {' | '.join(cells)} |")
+            words = name.replace("_", " ").replace("|", "\\|")
+            rows.append(f"| {words} | {len(scenes)} | {' | '.join(cells)} |")
         return "\n".join(rows)
 
     @property

@@ -106,8 +106,8 @@ def refine_split(
             bar.update(1)
     report = RefinementReport(tuple(results[scene] for scene in scenes))
     _write_table(out / TABLE_FILE, report.scenes)
-    write_refined_figure(out / FIGURE_FILE, [work.shown(row) for row in rows[:MOST_SCENES]])
     write_text(out / RESULT_FILE, json.dumps({**asdict(recipe), **report.as_data()}, indent=2) + "\n")
+    write_refined_figure(out / FIGURE_FILE, [work.shown(row) for row in rows[:MOST_SCENES]])
     return report
 
 

@@ -140,8 +140,8 @@ def _calibration(calibration: Calibration) -> dict[str, Any]:
         for curve in (calibration.validation, calibration.judged)
         if curve is not None
     }
-    if calibration.validation is not None:
-        best = calibration.validation.best
+    best = calibration.best_on_validation
+    if best is not None:
         content["best_on_validation"] = asdict(best)
         content["judged_split_at_that_threshold"] = asdict(calibration.judged.at(best.threshold))
     return content

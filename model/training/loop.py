@@ -71,8 +71,8 @@ class TrainingResult:
     def sentence(self, out: PathLike) -> str:
         """The outcome as text; `out` is the run folder."""
         return (
-            f"{self.epochs} epochs, ended by {self.ended_by}; best validation loss "
-            f"{self.best_validation_loss:.4f} in epoch {self.best_epoch}; run in {out}"
+            f"{self.epochs} epochs, ended by {self.ended_by}; best epoch {self.best_epoch}, with the "
+            f"validation loss {self.best_validation_loss:.4f}; run in {out}"
         )
 
 
@@ -174,7 +174,7 @@ def _train(
                     state.save_results(out)
                 with naming_disk(out / CONFIG_FILE, _AGAIN):
                     write_config(out, config)
-        if not before and not start:
+        if not goes_on and not start:
             state.save(out, RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
         return _run(state, out)
 
@@ -276,8 +276,7 @@ def _report(state: TrainingState, log: TrainingLog, record: EpochRecord) -> None
     """Log the scalars of an epoch, and in some epochs pictures of the first validation scenes."""
     log.scalars(asdict(record), state.optimisation, len(state.feeds["train"].rows))
     if log.wants_pictures(record.epoch):
-        feed = state.feeds["validation"]
-        rows = state.maker.upload(state.shards.read(feed.rows[: log.PICTURES]))
+        rows = state.feeds["validation"].first(log.PICTURES)
         with torch.no_grad():
             batch = state.maker.batch(rows)
             output = state.step.output(batch, state.optimisation.judged)

@@ -6,7 +6,7 @@ import functools
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -156,10 +156,16 @@ class TrainingState:
             network = self.optimisation.judged
             weights = network.state_dict()
             if self.settings.predicts_probability:
-                weights = self.uncertainty.weights(network, weights)
+                weights = self._factors.weights(network, weights)
             self.best_weights = {
                 name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in weights.items()
             }
+
+    @property
+    def _factors(self) -> UncertaintyFactors:
+        """Those on the kept weights; the mask keeps its own where only the uncertainty is trained."""
+        alone = self.settings.freeze == "all-but-uncertainty"
+        return replace(self.uncertainty, logit_factor=1.0) if alone else self.uncertainty
 
     def save(self, out: Path, then: str = GO_ON) -> None:
         """Write the best weights, the history and then the checkpoint that refers to them.
