@@ -90,7 +90,9 @@ def test_only_single_returns_behind_the_wall_and_in_the_region_are_the_object():
     assert found[rest].all()
 
 
-@pytest.mark.parametrize("frequencies_hz", [HZ, (20.1e6, 50.3e6, 60.7e6), (20.001e6, 50.003e6, 60.007e6)])
+@pytest.mark.parametrize(
+    "frequencies_hz", [HZ, (20.1e6, 50.3e6, 60.7e6), (20.001e6, 50.003e6, 60.007e6), (60.1e6, 100.3e6)]
+)
 def test_noise_makes_no_holes_whatever_the_common_divisor_of_the_frequencies(frequencies_hz):
     scene = sample_scene(PRESET, 0)
     phasor, depth_m, direct = closed_form(scene, frequencies_hz, WIDTH, HEIGHT)
@@ -105,17 +107,18 @@ def test_noise_makes_no_holes_whatever_the_common_divisor_of_the_frequencies(fre
     np.testing.assert_allclose(found.depth_map.radial_depth_m, depth_m, atol=0.12)
 
 
-@pytest.mark.parametrize("frequencies_hz", [(80.1e6, 100.3e6), (187.5e6, 200e6), (16e6, 80e6, 120e6)])
-def test_a_room_behind_the_object_is_not_taken_for_it(frequencies_hz):
+@pytest.mark.parametrize("frequencies_hz", [HZ, (20.1e6, 50.3e6, 60.7e6), (16e6, 80e6, 120e6)])
+@pytest.mark.parametrize("noise_rad", [0.0, 0.05])
+def test_a_room_behind_the_object_is_not_taken_for_it(frequencies_hz, noise_rad):
     scene = sample_scene(PRESET, 0)
     phasor, depth_m, direct = closed_form(scene, frequencies_hz, WIDTH, HEIGHT)
     view = WallView.of(scene.camera, scene.relay_wall)
     wall = view.expected_wall(direct, frequencies_hz)
-    room_m = np.linspace(5.5, 14, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)  # some depths look like near ones
+    room_m = np.linspace(5.5, 14, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     mirror = returned(np.where(depth_m > 0, depth_m, room_m), frequencies_hz)
+    mirror = mirror * np.exp(1j * noise_rad * np.random.default_rng(2).standard_normal(mirror.shape))
     found = truth_of_mirror(mirror, phasor, wall, region_of(PRESET, view), frequencies_hz).depth_map
-    assert not (found.mask & (depth_m == 0)).any()
-    assert (found.mask & (depth_m > 0)).sum() >= 0.98 * (depth_m > 0).sum()
+    np.testing.assert_array_equal(found.mask, depth_m > 0)
 
 
 def test_mirrors_that_show_nothing_or_another_wall_are_refused():

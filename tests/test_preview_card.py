@@ -121,10 +121,13 @@ def test_pictures_of_the_user_in_the_preview_are_kept(corners):
 
 def test_the_card_of_captures_does_not_speak_of_blender_and_mitsuba(corners):
     measured = Dataset(corners.root, replace(corners.index, generator=MEASURED_GENERATOR))
+    (corners.renders / "rendering.json").unlink(missing_ok=True)  # captures have none
     card = dataset_card(measured, read_distributions(corners, lambda: None), None)
     assert "captured with an indirect time-of-flight camera" in card
-    for words in ("synthetic", "Blender", "Mitsuba", "depends on the seed", "to make the scenes again"):
-        assert words not in card
+    of_renders = ("rendered", "rendering.json", "the transient", "light paths", "time axis", "upper bound")
+    of_scenes = ("synthetic", "Blender", "Mitsuba", "depends on the seed", "to make the scenes again")
+    for words in (*of_renders, *of_scenes):
+        assert words not in card, words
 
 
 def test_the_card_says_that_fields_of_view_differ(corners):
@@ -134,7 +137,7 @@ def test_the_card_says_that_fields_of_view_differ(corners):
     assert "horizontal field of view 55 to 65 degrees, that of each scene" in card
 
 
-@pytest.mark.parametrize("licence", ["[" * 100_000, "1" * 5000])
+@pytest.mark.parametrize("licence", ["[" * 100_000, "1" * 5000], ids=["deep", "long number"])
 def test_a_licence_that_is_no_text_is_none(corners, licence):
     (corners.root / "README.md").write_text(
         f"<!-- night-gen preview writes this file; licence: {licence} -->"

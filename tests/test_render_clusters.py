@@ -7,6 +7,7 @@ import gc
 import os
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -14,8 +15,9 @@ import pytest
 from night_commands import night_here, refusal
 from render_runs import SETTINGS
 
-from render.farm.batch_system import batch_cluster
+from render.farm.batch_system import Submissions, batch_cluster
 from render.farm.dask_settings import ClusterError
+from render.farm.queue import QueueError, RenderQueue
 
 ROOT = Path(__file__).parent.parent
 SBATCH = """#!/bin/sh
@@ -202,3 +204,28 @@ def test_joining_and_starting_a_cluster_at_once_is_refused(unrendered, tmp_path)
     )
     assert done.returncode == 2
     assert "either --scheduler or --cluster" in done.stderr
+
+
+class NoWorkers:
+    """A client of a scheduler that has no workers."""
+
+    status = "running"
+
+    def nthreads(self):
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("accepted", "unfinished", "since_s", "ends"),
+    [(0, 0, 1, True), (1, 1, 1000, False), (1, 0, 1, False), (1, 0, 61, True)],
+)
+def test_a_run_ends_when_the_batch_system_takes_no_job_any_more(accepted, unfinished, since_s, ends):
+    queue = RenderQueue(NoWorkers(), None, None, "run", lambda outcome, final: None)
+    queue.patience_s = None
+    queue.submissions = Submissions(accepted, set(range(unfinished)), ["job limit"])
+    since = time.monotonic() - since_s
+    if ends:
+        with pytest.raises(QueueError, match=r"the batch system takes no job \(job limit\)"):
+            queue._checked_idle(since)
+    else:
+        assert queue._checked_idle(since) == since

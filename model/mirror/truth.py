@@ -16,7 +16,6 @@ from scenegen import NightError
 
 _BEHIND_M: Final = 0.05  # behind the wall's plane: nearer light is the wall's own
 _SINGLE_RAD: Final = 0.3  # rms phase that one return may leave: more is two surfaces in a pixel, or noise
-_CLEARLY: Final = 1 / 3  # of the phase that is left: a farther depth that leaves less explains a pixel better
 _FEWEST_PIXELS: Final = 6  # of a piece of the object
 _OTHER_RAD: Final = 0.3  # scatter of the phases about those of the expected wall that is another wall's
 
@@ -64,10 +63,10 @@ def truth_of_mirror(
     The wall is taken to be where `wall` says: the mean phase of `corner` over its return is the offset of
     the camera at each frequency. Depth is unwrapped from the phases at all frequencies, up to the far end of
     the region: farther depths would explain noisy phases as well if the frequencies have no large common
-    divisor. A pixel that a farther depth explains much better is background. A pixel shows the object if one
-    return explains its phases, behind the wall's plane and within the mirror image of `region`; pieces of a
-    few pixels are dropped. An error of the wall's distance, or of 10 mrad at 60 MHz, which is 4 mm, is one of
-    the depth.
+    divisor. A pixel shows the object if one return explains its phases, behind the wall's plane and within
+    the mirror image of `region`; pieces of a few pixels are dropped. With two frequencies, a return from
+    behind the region may look like one within it. An error of the wall's distance, or of 10 mrad at 60 MHz,
+    which is 4 mm, is one of the depth.
 
     Parameters
     ----------
@@ -96,10 +95,10 @@ def truth_of_mirror(
     seen = region.mirrored(plane)
     farthest_m = float(np.linalg.norm(seen.centre_m)) + seen.radius_m
     depth_m = unwrap_depth(phases, frequencies_hz, farthest_m)
-    left_rad = _left_rad(phases, wall, depth_m)
-    far_rad = _left_rad(phases, wall, unwrap_depth(phases, frequencies_hz))
+    left = phases - wall.slope * depth_m[..., None]
+    left = left - 2 * np.pi * np.round(left / (2 * np.pi))
     points_m = depth_m[..., None] * wall.rays
-    mask = (mirror != 0).all(axis=-1) & (left_rad < _SINGLE_RAD) & (far_rad >= _CLEARLY * left_rad)
+    mask = (mirror != 0).all(axis=-1) & (np.sqrt((left**2).mean(axis=-1)) < _SINGLE_RAD)
     mask &= depth_m > wall_m + _BEHIND_M
     mask &= np.linalg.norm(points_m - seen.centre_m, axis=-1) < seen.radius_m
     mask = _pieces(mask)
@@ -113,15 +112,6 @@ def truth_of_mirror(
         offsets,
         points_m[mask] - 2 * back[:, None] * plane,
     )
-
-
-def _left_rad(
-    phases_rad: NDArray[np.float64], wall: ExpectedWall, depth_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(H, W) rms phase that returns at a depth leave of phases (H, W, F)."""
-    left = phases_rad - np.asarray(wall.slope) * depth_m[..., None]
-    left -= 2 * np.pi * np.round(left / (2 * np.pi))
-    return np.asarray(np.sqrt((left**2).mean(axis=-1)))
 
 
 def wall_offsets_rad(corner: Phasors, wall: ExpectedWall) -> NDArray[np.float64]:

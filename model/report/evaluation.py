@@ -115,7 +115,7 @@ def evaluate(
 
 
 def _loaded(run: Path, device: DeviceName) -> tuple[Predictor, dict[str, list[float]]]:
-    """The network of a run and its history, of the same moment although the run may go on."""
+    """The network of a run and its history; of the same moment, but for milliseconds, if the run goes on."""
     for _ in range(_TRIES):
         predictor, history = load(run, device), read_history(run)
         if sha256_of(run / WEIGHTS_FILE) == predictor.weights_sha256:

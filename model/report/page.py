@@ -63,6 +63,7 @@ def write_page(
     """
     figures = out / "figures"
     figures.mkdir()
+    of_uncertainty = config.settings.freeze == "all-but-uncertainty"
     charts = {
         "distributions": distributions(report),
         "roundness": (roundness_chart(report),),
@@ -70,7 +71,7 @@ def write_page(
         "thresholds": calibration_curves(report.calibration),
         "training": training_curves(
             history,
-            of_uncertainty=config.settings.freeze == "all-but-uncertainty",
+            of_uncertainty=of_uncertainty,
         ),
     }
     every_chart = [chart for group in charts.values() for chart in group]
@@ -101,6 +102,7 @@ def write_page(
         share_column=GROUP_HEAD.index("MAE, cm"),
         threshold=_threshold(report.calibration),
         depth_errors_m=report.depth_reliability.means_m if report.depth_reliability else None,
+        compares_mask_and_depth=any(history.get("validation_uncertainty", ())) and not of_uncertainty,
         calibration_error=report.reliability.calibration_error if report.reliability else None,
         configuration=_configuration(config, origin, report),
     )

@@ -83,9 +83,16 @@ def batch_cluster(
 
 @dataclass
 class Submissions:
-    """Which jobs a batch system has taken: their number, and why it refused the others."""
+    """What a batch system made of the jobs of a run.
+
+    Attributes
+    ----------
+    accepted : number of jobs that it has taken so far; unfinished : those that have not ended yet.
+    refusals : why it refused the others.
+    """
 
     accepted: int = 0
+    unfinished: set[Any] = field(default_factory=set)
     refusals: list[str] = field(default_factory=list)
 
 
@@ -105,7 +112,12 @@ def _watched(job_cls: type, submissions: Submissions) -> type:
                 self.status = Status.failed  # otherwise the cluster cannot be closed
                 raise
             submissions.accepted += 1
+            submissions.unfinished.add(self)
             return output
+
+        async def close(self) -> None:
+            submissions.unfinished.discard(self)
+            await super().close()
 
     return WatchedJob
 

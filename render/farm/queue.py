@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _WAIT_S = 1.0  # between checks whether another command has finished its scenes
 _COUNT_S = 1.0  # between counts of the workers
+_NEXT_JOB_S = 60.0  # after a job has ended, until the next one is submitted, at most
 PATIENCE_S = 600.0  # a run without any worker ends with an error after this time
 _RESTART_S = 60  # time limit for the start of a new worker process
 _MOST_UNBEGUN_DEATHS = 5  # of workers that were given a scene and died before they began it
@@ -59,7 +60,7 @@ class RenderQueue:
     on_outcome : called with every answer of a worker, and with True if the scene will not be tried again.
     growth_bytes : memory that a worker may grow by before it is replaced.
     patience_s : seconds to wait for a first worker; None waits without limit, because batch jobs may queue.
-    submissions : which jobs the batch system takes; without any, the run ends.
+    submissions : which jobs the batch system takes; if it takes none any more, the run ends.
     work : function that a worker calls with a job.
     tally : results so far.
     """
@@ -145,9 +146,10 @@ class RenderQueue:
             raise QueueError(_LOST)
         if self._workers():
             return time.monotonic()
-        if self.submissions.refusals and not self.submissions.accepted:
+        jobs, waited_s = self.submissions, time.monotonic() - since
+        if jobs.refusals and not jobs.unfinished and (not jobs.accepted or waited_s > _NEXT_JOB_S):
             raise QueueError(
-                f"the batch system takes no job ({self.submissions.refusals[0]}): correct the --cluster "
+                f"the batch system takes no job ({jobs.refusals[-1]}): correct the --cluster "
                 "file, or the system's settings here"
             )
         if self.patience_s is not None and time.monotonic() - since > self.patience_s:

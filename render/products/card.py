@@ -111,7 +111,8 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
     preset, rendering = dataset.preset, dataset.rendering
     camera, axis = preset.camera, preset.transient
     asked = f"{camera.width} x {camera.height} pixels asked for"
-    rendered = f"{size_text(found.image_sizes)} rendered" if found.image_sizes else "none rendered"
+    made = "measured" if dataset.is_measured else "rendered"
+    rendered = f"{size_text(found.image_sizes)} {made}" if found.image_sizes else f"none {made}"
     bins = (
         f"{axis.bin_count} bins of {axis.bin_width_m:g} m optical path length (out and back), from "
         f"{axis.start_opl_m:g} m"
@@ -123,13 +124,16 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
             error += f", at most {rendering.hidden_error_max:.2%}"
     hertz = ", ".join(f"{frequency_hz / 1e6:g} MHz" for frequency_hz in preset.itof.frequencies_hz)
     unambiguous_m = float(unambiguous_range_m(preset.itof.frequencies_hz[0]))
+    of_light = [
+        ("time axis", bins),
+        ("light paths", f"at most {axis.max_bounces} surfaces"),
+        ("error of the hidden signal, upper bound", error),
+    ]
     return [
         ("images", f"{asked}, {rendered}; horizontal field of view {_fov_text(preset)}"),
         ("frequencies", f"{hertz}; the first is unambiguous over {unambiguous_m:.2f} m of depth"),
-        ("time axis", bins),
-        ("light paths", f"at most {axis.max_bounces} surfaces"),
         ("pixels", ratio_sentence(found)),
-        ("error of the hidden signal, upper bound", error),
+        *([] if dataset.is_measured else of_light),
         ("disk used", ", ".join(f"{name} {size(count)}" for name, count in _disk(dataset.root))),
     ]
 
@@ -188,15 +192,19 @@ def _reading(dataset: Dataset, found: Distributions) -> str:
     scene_id = next(iter(found.object_pixels), dataset.ids()[0])
     drawn = "" if dataset.is_measured else ", and as Mitsuba 3 files with their meshes"
     files = f"the scene as data{drawn}"
+    rendered = (
+        ""
+        if dataset.is_measured
+        else f"\n- `renders/{scene_id}/{TRANSIENT_FILE}`: the transient, if it was rendered\n"
+        "- `renders/rendering.json`: how the scenes were rendered"
+    )
     return f"""Each scene has its own folder. All images are OpenEXR files with 32-bit floats.
 
 - `dataset.json`: the scene list (id, class, split) and the preset
 - `scenes/{scene_id}/`: {files}
-- `renders/rendering.json`: how the scenes were rendered
 - `renders/{scene_id}/{MEASUREMENT_FILE}`: complex phasors `itof.<f>MHz.Re`, `.Im`
 - `renders/{scene_id}/{GROUND_TRUTH_FILE}`: `{DEPTH_CHANNEL}` (radial depth in metres, 0 on background),
-  `{MASK_CHANNEL}`
-- `renders/{scene_id}/{TRANSIENT_FILE}`: the transient, if it was rendered
+  `{MASK_CHANNEL}`{rendered}
 
 ```python
 from itof import DepthMap, depth_from_phase, phase, read_image

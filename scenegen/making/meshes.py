@@ -62,10 +62,10 @@ def read_mesh(file: Path) -> UserMesh:
     """Read a mesh file: PLY, STL, OBJ, OFF or GLB.
 
     All objects of the file become one mesh. Polygons become triangles that meet in their first corner, which
-    is right for convex ones only. Vertices at the same position are
-    merged. Triangles without area are removed. Of triangles with the same vertices only the first is kept,
-    whichever way it faces: a hidden object reflects on both sides, so a surface that is modelled with two
-    sides would count twice. The result depends only on the bytes of the file.
+    is right for convex ones only. Vertices at the same position are merged. Triangles without area are
+    removed. Of triangles with the same vertices only the first is kept, whichever way it faces: a hidden
+    object reflects on both sides, so a surface that is modelled with two sides would count twice. The result
+    depends only on the bytes of the file.
 
     Raises
     ------
