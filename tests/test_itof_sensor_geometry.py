@@ -8,10 +8,11 @@ import torch
 from scipy.ndimage import convolve
 
 from itof import phase_per_metre, pixel_rays
+from itof.radial_distortion import turning_square, undistorted_radius
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.camera import Camera
-from itof.sensor.geometry import distorted, moved, undistorted, with_lamp
-from itof.sensor.settings import SensorSettings, largest_radius, largest_seen_radius
+from itof.sensor.geometry import distorted, moved, with_lamp
+from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 
@@ -81,14 +82,14 @@ def test_a_distorting_lens_shows_a_ray_where_its_polynomial_says(distortion):
 
 @pytest.mark.parametrize("distortion", [(-0.3, 0.05), (-0.3, 0.0), (0.5, -0.02), (1.0, 1.0), (0.0, 0.0)])
 def test_radii_are_found_up_to_where_the_lens_folds(distortion):
-    true = np.linspace(0, min(largest_radius(distortion), 5.0), 1000)
+    turning = np.sqrt(turning_square(distortion))
+    true = np.linspace(0, min(turning, 5.0), 1000)
     seen = true * (1 + distortion[0] * true**2 + distortion[1] * true**4)
     assert (np.diff(seen) > 0).all()
     # At the fold the slope is 0, so that rounding of the radius seen moves the ray by its root.
-    np.testing.assert_allclose(undistorted(seen, distortion), true, atol=1e-6)
-    if np.isfinite(largest_radius(distortion)):
-        assert seen.max() == pytest.approx(largest_seen_radius(distortion), rel=1e-3)
-        beyond = 1.01 * largest_radius(distortion)
+    np.testing.assert_allclose(undistorted_radius(seen, distortion), true, atol=1e-6)
+    if np.isfinite(turning):
+        beyond = 1.01 * turning
         assert beyond * (1 + distortion[0] * beyond**2 + distortion[1] * beyond**4) < seen.max()
 
 

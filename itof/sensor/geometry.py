@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
-from itof.sensor.settings import SensorSettings, largest_radius
+from itof.radial_distortion import undistorted_radius
+from itof.sensor.settings import SensorSettings
 from itof.unwrapping import unwrap_depth
-
-_HALVINGS = 60  # of the interval in which a radius is searched: to the last bit of a float64
 
 
 def geometry(settings: SensorSettings, image: Any, frequencies_hz: Sequence[float]) -> Any:
@@ -84,28 +83,6 @@ def distorted(settings: SensorSettings, image: Any) -> Any:
     return total
 
 
-def undistorted(seen: NDArray[np.float64], distortion: tuple[float, float]) -> NDArray[np.float64]:
-    """Radii r at the distance 1 that a lens shows at the radii `seen` = r (1 + k1 r² + k2 r⁴).
-
-    By bisection between 0 and the radius up to which the right side grows.
-    """
-
-    def shown(r: Any) -> Any:
-        return r * (1 + distortion[0] * r**2 + distortion[1] * r**4)
-
-    high = np.full(seen.shape, largest_radius(distortion))
-    if np.isinf(high).any():
-        high = np.maximum(seen, 1e-3)
-        while (shown(high) < seen).any():
-            high = np.where(shown(high) < seen, 2 * high, high)
-    low = np.zeros(seen.shape)
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        is_below = shown(middle) < seen
-        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
-    return (low + high) / 2
-
-
 def _turned(image: Any, phase_rad: NDArray[np.float64]) -> Any:
     xp = array_namespace(image)
     turn = np.exp(1j * phase_rad)
@@ -121,7 +98,7 @@ def _resampling(
     y, x = np.mgrid[:height, :width] + 0.5
     seen = np.stack([(x - width / 2), (y - height / 2)]) / focal  # where the lens shows it
     radius = np.hypot(*seen)
-    pinhole = seen * (undistorted(radius, distortion) / np.maximum(radius, 1e-300))
+    pinhole = seen * (undistorted_radius(radius, distortion) / np.maximum(radius, 1e-300))
     column, row = pinhole[0] * focal + width / 2 - 0.5, pinhole[1] * focal + height / 2 - 0.5
     parts = []
     for place, count in ((row, height), (column, width)):

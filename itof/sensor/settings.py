@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from itof.radial_distortion import radial_factor, turning_square
+
 Waveform = Literal["sinusoidal", "square"]
 Positive = Annotated[float, Field(gt=0, le=1e12)]
 NotNegative = Annotated[float, Field(ge=0, le=1e12)]
@@ -29,23 +31,6 @@ def _ascending(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, flo
 ContrastTable = Annotated[
     tuple[tuple[Positive, PositivePart], ...], Field(min_length=1), AfterValidator(_ascending)
 ]
-
-
-def largest_radius(distortion: tuple[float, float]) -> float:
-    """Radius r up to which r (1 + k1 r² + k2 r⁴) grows; infinite if it always does."""
-    k1, k2 = distortion
-    # The slope 1 + 3 k1 s + 5 k2 s² for s = r² is 0; with u = 1 / s it is u² + 3 k1 u + 5 k2.
-    inside = 9 * k1**2 - 20 * k2
-    largest = (-3 * k1 + math.sqrt(inside)) / 2 if inside >= 0 else 0.0
-    return 1 / math.sqrt(largest) if largest > 0 else math.inf
-
-
-def largest_seen_radius(distortion: tuple[float, float]) -> float:
-    """Radius at which a lens shows the ray of `largest_radius`; infinite if there is none."""
-    radius = largest_radius(distortion)
-    return (
-        radius * (1 + distortion[0] * radius**2 + distortion[1] * radius**4) if radius < math.inf else radius
-    )
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
@@ -146,7 +131,11 @@ class SensorSettings:
         if (self.adc_bits is None) != (self.adc_e_per_dn is None):
             raise ValueError("adc_bits and adc_e_per_dn go together: give both or neither")
         half_width = math.tan(math.radians(self.horizontal_fov_deg) / 2)
-        if half_width * math.hypot(1, self.height / self.width) > largest_seen_radius(self.distortion):
+        corner, turning = (
+            half_width * math.hypot(1, self.height / self.width),
+            turning_square(self.distortion),
+        )
+        if turning < math.inf and corner > math.sqrt(turning) * radial_factor(turning, self.distortion):
             raise ValueError(
                 f"a lens of the distortion {', '.join(f'{k:g}' for k in self.distortion)} folds the image "
                 f"before the corners of a field of view of {self.horizontal_fov_deg:g} degrees: give other "

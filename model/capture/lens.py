@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import pixel_rays
+from itof.radial_distortion import radial_factor, turning_square
 from model.capture.sidecar import Lens
 
 _WHOLE = 1 - 1e-9  # weight of good pixels that a value needs
-_REAL = 1e-6  # imaginary over absolute value of a root that is real, but for rounding
 
 Floats = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 def seen_at(lens: Lens, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Column and row of the pixel that sees the rays (x, y) at z = 1; `Lens` has the equation."""
     square = x**2 + y**2
-    radial = 1 + square * (lens.k1 + square * (lens.k2 + square * lens.k3))
+    radial = radial_factor(square, (lens.k1, lens.k2, lens.k3))
     across = x * radial + 2 * lens.p1 * x * y + lens.p2 * (square + 2 * x**2)
     down = y * radial + lens.p1 * (square + 2 * y**2) + 2 * lens.p2 * x * y
     return lens.cx + lens.fx * across, lens.cy + lens.fy * down
@@ -31,11 +31,7 @@ def turning_point(lens: Lens) -> float:
 
     It is infinite if the radius always grows. Rays beyond it are folded back: calibrations do not hold there.
     """
-    # The slope 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ for s = r² is 0; with u = 1 / s the highest factor is 1.
-    roots = np.roots([1.0, 3 * lens.k1, 5 * lens.k2, 7 * lens.k3])
-    real = roots.real[np.abs(roots.imag) <= _REAL * np.abs(roots)]
-    largest = float(real.max(initial=0.0))
-    return 1 / largest if largest > 0 else np.inf
+    return turning_square((lens.k1, lens.k2, lens.k3))
 
 
 @dataclass(frozen=True)
