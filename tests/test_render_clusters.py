@@ -26,6 +26,7 @@ setsid sh -c 'exec bash "$0" >/dev/null 2>&1' "$JOBS/script.$$" &
 echo $! > "$JOBS/pid.$!"
 echo "Submitted batch job $!"
 """
+ONE_JOB = 'mkdir "$JOBS/taken" 2>/dev/null || { echo "job limit" >&2; exit 1; }\n'
 SCANCEL = """#!/bin/sh
 for job in "$@"; do kill -TERM -- "-$job" 2>/dev/null; done
 exit 0
@@ -132,8 +133,8 @@ def test_a_refused_job_ends_the_run_with_the_reason(slurm, unrendered, sbatch, w
 
 @pytest.mark.long
 def test_one_refused_job_of_several_does_not_end_the_run(slurm, unrendered):
-    limited = 'mkdir "$JOBS/taken" 2>/dev/null || { echo "job limit" >&2; exit 1; }\n'
-    (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + limited))
+    slow = "sleep 3\n"  # so the run sees the refusal while the other job is still being submitted
+    (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + ONE_JOB + slow))
     (slurm / "cluster.yaml").write_text(
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
     )
@@ -144,6 +145,22 @@ def test_one_refused_job_of_several_does_not_end_the_run(slurm, unrendered):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("2 scenes rendered")
     assert len(list(slurm.glob("script.*"))) == 1
+
+
+def test_a_cluster_of_which_a_job_was_refused_can_be_closed(slurm):
+    (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + ONE_JOB))
+    (slurm / "cluster.yaml").write_text(
+        "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    interface: lo\n"
+    )
+    submissions = Submissions()
+    with batch_cluster(slurm / "cluster.yaml", slurm, submissions) as cluster:
+        cluster.scale(2)
+        while not (submissions.accepted and submissions.refusals):
+            time.sleep(0.05)
+        jobs = set(submissions.unfinished)  # kept alive, as the refused job's traceback may do
+    assert [job.status.name for job in jobs] == ["closed"]
+    assert not submissions.unfinished
+    assert submissions.pending == 0
 
 
 @pytest.mark.parametrize(
@@ -216,13 +233,19 @@ class NoWorkers:
 
 
 @pytest.mark.parametrize(
-    ("accepted", "unfinished", "since_s", "ends"),
-    [(0, 0, 1, True), (1, 1, 1000, False), (1, 0, 1, False), (1, 0, 61, True)],
+    ("pending", "accepted", "unfinished", "since_s", "ends"),
+    [
+        (0, 0, 0, 1, True),
+        (1, 0, 0, 1, False),
+        (0, 1, 1, 1000, False),
+        (0, 1, 0, 1, False),
+        (0, 1, 0, 61, True),
+    ],
 )
-def test_a_run_ends_when_the_batch_system_takes_no_job_any_more(accepted, unfinished, since_s, ends):
+def test_a_run_ends_when_the_batch_system_takes_no_job_any_more(pending, accepted, unfinished, since_s, ends):
     queue = RenderQueue(NoWorkers(), None, None, "run", lambda outcome, final: None)
     queue.patience_s = None
-    queue.submissions = Submissions(accepted, set(range(unfinished)), ["job limit"])
+    queue.submissions = Submissions(pending, accepted, set(range(unfinished)), ["job limit"])
     since = time.monotonic() - since_s
     if ends:
         with pytest.raises(QueueError, match=r"the batch system takes no job \(job limit\)"):

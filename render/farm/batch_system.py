@@ -87,10 +87,12 @@ class Submissions:
 
     Attributes
     ----------
+    pending : number of jobs whose submission it has not answered yet.
     accepted : number of jobs that it has taken so far; unfinished : those that have not ended yet.
     refusals : why it refused the others.
     """
 
+    pending: int = 0
     accepted: int = 0
     unfinished: set[Any] = field(default_factory=set)
     refusals: list[str] = field(default_factory=list)
@@ -101,9 +103,10 @@ def _watched(job_cls: type, submissions: Submissions) -> type:
     from distributed import Status
 
     class WatchedJob(job_cls):
-        async def _submit_job(self, script_filename: str) -> str:
+        async def start(self) -> None:
+            submissions.pending += 1
             try:
-                output: str = await super()._submit_job(script_filename)
+                await super().start()
             except Exception as error:  # of any class: a missing command, an exit code, or what a system adds
                 said = str(error).rpartition("stderr:")[2].strip() or str(error)
                 lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
@@ -111,13 +114,17 @@ def _watched(job_cls: type, submissions: Submissions) -> type:
                 log.warning("the batch system refused a job: %s", submissions.refusals[-1])
                 self.status = Status.failed  # otherwise the cluster cannot be closed
                 raise
+            finally:
+                submissions.pending -= 1
             submissions.accepted += 1
             submissions.unfinished.add(self)
-            return output
 
         async def close(self) -> None:
             submissions.unfinished.discard(self)
-            await super().close()
+            try:
+                await super().close()
+            finally:  # dask-jobqueue leaves it at running, with which the cluster cannot be closed
+                self.status = Status.closed
 
     return WatchedJob
 

@@ -147,7 +147,8 @@ class RenderQueue:
         if self._workers():
             return time.monotonic()
         jobs, waited_s = self.submissions, time.monotonic() - since
-        if jobs.refusals and not jobs.unfinished and (not jobs.accepted or waited_s > _NEXT_JOB_S):
+        none_left = not jobs.pending and not jobs.unfinished
+        if jobs.refusals and none_left and (not jobs.accepted or waited_s > _NEXT_JOB_S):
             raise QueueError(
                 f"the batch system takes no job ({jobs.refusals[-1]}): correct the --cluster "
                 "file, or the system's settings here"
