@@ -274,3 +274,8 @@ def test_paths_may_be_text_and_relative(tmp_path):
             (partial / "e").write_text("3")
         remove_leftovers(".", "a")
     assert contents(tmp_path) == {"a": "1", "b/c": "2", "d/e": "3"}
+
+
+def test_a_text_may_name_a_file_that_is_not_utf_8(tmp_path):
+    write_text(tmp_path / "a", os.fsdecode(b"\xc3\xa9 \xff"))
+    assert (tmp_path / "a").read_bytes() == b"\xc3\xa9 \\udcff"
