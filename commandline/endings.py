@@ -105,7 +105,9 @@ class NightCommand(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Do the work."""
         logging.basicConfig(level=logging.INFO, format="%(message)s")
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that `finally` runs
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` makes it
+                signal.signal(number, lambda code, _: sys.exit(128 + code))  # so that `finally` runs
         place = next((str(ctx.params[name]) for name in _OUTPUTS if ctx.params.get(name)), "")
         with _ending(self.name or "", place):
             return super().invoke(ctx)

@@ -116,7 +116,7 @@ def _program(command):
 @contextlib.contextmanager
 def _isolated(cwd):
     """Give back what a command changes in its process."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     root = logging.getLogger()
     loggers, level, disabled = root.handlers[:], root.level, root.manager.disable
     root.handlers = []  # pytest's own: with them, the command would not install its handler

@@ -156,9 +156,10 @@ def test_what_a_user_can_change_is_one_sentence(monkeypatch, error, sentence):
     assert done.stderr.endswith(f"Error: {sentence}\n")
 
 
-def test_ctrl_c_and_sigterm_end_a_command_with_their_own_codes(monkeypatch):
-    monkeypatch.setattr(cli, "open_dataset", lambda _: os.kill(os.getpid(), signal.SIGTERM))
-    assert night_here("night-render", "status", "data").returncode == 128 + signal.SIGTERM
+def test_signals_end_a_command_with_their_own_codes(monkeypatch):
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        monkeypatch.setattr(cli, "open_dataset", lambda _, number=number: os.kill(os.getpid(), number))
+        assert night_here("night-render", "status", "data").returncode == 128 + number
     monkeypatch.setattr(cli, "open_dataset", failing_with(KeyboardInterrupt()))
     done = night_here("night-render", "status", "data")
     assert (done.returncode, done.stderr) == (128 + signal.SIGINT, "interrupted\n")

@@ -5,18 +5,21 @@ There is no SLURM here. `sbatch` and `scancel` are small stand-ins that start an
 
 import gc
 import os
+import signal
 import subprocess
 import sys
 import time
 import warnings
 from pathlib import Path
 
+import dask
 import pytest
 from night_commands import night_here, refusal
 from render_runs import SETTINGS
 
+from render.farm import batch_system
 from render.farm.batch_system import Submissions, batch_cluster
-from render.farm.dask_settings import ClusterError
+from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.queue import QueueError, RenderQueue
 
 ROOT = Path(__file__).parent.parent
@@ -155,12 +158,52 @@ def test_a_cluster_of_which_a_job_was_refused_can_be_closed(slurm):
     submissions = Submissions()
     with batch_cluster(slurm / "cluster.yaml", slurm, submissions) as cluster:
         cluster.scale(2)
-        while not (submissions.accepted and submissions.refusals):
-            time.sleep(0.05)
+        wait_until(lambda: submissions.accepted and submissions.refusals)
         jobs = set(submissions.unfinished)  # kept alive, as the refused job's traceback may do
     assert [job.status.name for job in jobs] == ["closed"]
     assert not submissions.unfinished
     assert submissions.pending == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_job_that_ends_is_submitted_again(slurm, processes):
+    (slurm / "cluster.yaml").write_text(
+        f"jobqueue:\n  slurm:\n    cores: 2\n    memory: 4GB\n    interface: lo\n    processes: {processes}\n"
+    )
+    submissions = Submissions()
+    with (
+        dask_settings(is_local=False, shows_pages=False),
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "1s"}),
+        batch_cluster(slurm / "cluster.yaml", slurm, submissions) as cluster,
+    ):
+        cluster.adapt(minimum_jobs=1, maximum_jobs=1)
+        wait_until(lambda: len(cluster.scheduler_info["workers"]) == processes)
+        (job,) = slurm.glob("pid.*")
+        os.killpg(int(job.suffix[1:]), signal.SIGKILL)
+        wait_until(lambda: submissions.accepted == 2)
+        assert len(submissions.unfinished) == 1
+
+
+def test_a_job_that_is_refused_beside_others_is_submitted_again(slurm, monkeypatch):
+    monkeypatch.setattr(batch_system, "_RETRY_S", 0.1)
+    (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + ONE_JOB))
+    (slurm / "cluster.yaml").write_text(
+        "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    interface: lo\n"
+    )
+    submissions = Submissions()
+    with batch_cluster(slurm / "cluster.yaml", slurm, submissions) as cluster:
+        cluster.adapt(minimum_jobs=2, maximum_jobs=2)
+        wait_until(lambda: submissions.accepted == 1 and len(submissions.refusals) > 1)
+        (slurm / "taken").rmdir()
+        wait_until(lambda: submissions.accepted == 2)
+
+
+def wait_until(holds):
+    end = time.monotonic() + 180
+    while not holds():
+        assert time.monotonic() < end, "in vain"
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +282,7 @@ class NoWorkers:
         (1, 0, 0, 1, False),
         (0, 1, 1, 1000, False),
         (0, 1, 0, 1, False),
-        (0, 1, 0, 61, True),
+        (0, 1, 0, 181, True),
     ],
 )
 def test_a_run_ends_when_the_batch_system_takes_no_job_any_more(pending, accepted, unfinished, since_s, ends):
@@ -252,3 +295,15 @@ def test_a_run_ends_when_the_batch_system_takes_no_job_any_more(pending, accepte
             queue._checked_idle(since)
     else:
         assert queue._checked_idle(since) == since
+
+
+def test_a_run_whose_jobs_start_no_worker_says_so_once(caplog):
+    queue = RenderQueue(NoWorkers(), None, None, "run", lambda outcome, final: None)
+    queue.patience_s = None
+    queue.submissions = Submissions(0, 2, {1, 2})
+    since = time.monotonic() - 601
+    for _ in range(3):
+        assert queue._checked_idle(since) == since
+    assert [record.message[:45] for record in caplog.records] == [
+        "no worker for 10 minutes, with 2 jobs submitt"
+    ]

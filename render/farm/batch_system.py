@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 import logging
 import os
@@ -35,6 +36,8 @@ _SYSTEMS = {
 log = logging.getLogger(__name__)
 
 _LAST_LINES = 4  # of what a batch system says, where the reason is
+_START_S = 600  # after which a job ends whose workers have not started; dask-jobqueue: 60 s
+_RETRY_S = 60  # after a refusal, until a job is submitted again
 _ENCRYPTED = (None, "tls", "tls://")
 
 
@@ -51,7 +54,8 @@ def batch_cluster(
     ----------
     keys_folder : folder for the certificates, which all machines see. No other user can read them, and they
         are deleted at the end.
-    submissions : notes which jobs the batch system takes. Dask does not submit a refused one again.
+    submissions : notes which jobs the batch system takes. A refused one is submitted again every minute if it
+        has taken another one.
 
     Raises
     ------
@@ -60,8 +64,9 @@ def batch_cluster(
     """
     cls, given = _checked_cluster_file(file)
     folder = given.pop("shared_temp_directory", None) or keys_folder
-    job_cls = _watched(cls.job_cls, submissions or Submissions())  # type: ignore[attr-defined]
-    options: dict[str, Any] = {"python": f"{shlex.quote(sys.executable)} -P", **given}
+    job_cls = _watched_job(cls.job_cls, submissions or Submissions())  # type: ignore[attr-defined]
+    defaults = {"python": f"{shlex.quote(sys.executable)} -P", "death_timeout": _START_S}
+    options: dict[str, Any] = {**defaults, **given}
     if not _shows_pages(options):
         options["scheduler_options"] = NO_DASHBOARD | (options.get("scheduler_options") or {})
     with ExitStack() as stack:
@@ -70,7 +75,7 @@ def batch_cluster(
             keys = stack.enter_context(_keys(file, place))
             options |= {"protocol": "tls://", "security": keys}
         try:
-            cluster: JobQueueCluster = cls(**options, job_cls=job_cls)
+            cluster: JobQueueCluster = _watched_cluster(cls)(**options, job_cls=job_cls)
             stack.enter_context(cluster)
             cluster.job_script()
         except (OSError, RuntimeError) as error:  # of the scheduler
@@ -98,7 +103,7 @@ class Submissions:
     refusals: list[str] = field(default_factory=list)
 
 
-def _watched(job_cls: type, submissions: Submissions) -> type:
+def _watched_job(job_cls: type, submissions: Submissions) -> type:
     """The job class, which also notes what becomes of its submissions."""
     from distributed import Status
 
@@ -107,26 +112,66 @@ def _watched(job_cls: type, submissions: Submissions) -> type:
             submissions.pending += 1
             try:
                 await super().start()
+                submissions.accepted += 1
+                submissions.unfinished.add(self)
             except Exception as error:  # of any class: a missing command, an exit code, or what a system adds
                 said = str(error).rpartition("stderr:")[2].strip() or str(error)
                 lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
                 submissions.refusals.append("; ".join(lines[-_LAST_LINES:]) or type(error).__name__)
                 log.warning("the batch system refused a job: %s", submissions.refusals[-1])
                 self.status = Status.failed  # otherwise the cluster cannot be closed
+                asyncio.get_running_loop().call_later(_RETRY_S, self._forget)
                 raise
             finally:
                 submissions.pending -= 1
-            submissions.accepted += 1
-            submissions.unfinished.add(self)
 
         async def close(self) -> None:
             submissions.unfinished.discard(self)
             try:
                 await super().close()
+            except OSError as error:  # the command that cancels jobs cannot be started
+                log.warning("job %s could not be cancelled: %s", self.job_id, error)
             finally:  # dask-jobqueue leaves it at running, with which the cluster cannot be closed
                 self.status = Status.closed
 
+        def _forget(self) -> None:
+            """Make the cluster submit this refused job again, as it does with a job that it lacks."""
+            cluster = self._cluster()
+            if submissions.accepted and cluster is not None and cluster.workers.get(self.name) is self:
+                del cluster.workers[self.name]
+
     return WatchedJob
+
+
+def _watched_cluster(cls: type) -> type:
+    """The cluster class, which also submits jobs with several workers again after their end."""
+    import dask
+    from dask.utils import parse_timedelta
+
+    class WatchedCluster(cls):
+        def _update_worker_status(self, op: str, msg: Any) -> None:
+            worker = self.scheduler_info["workers"].get(msg) if op == "remove" else None
+            super()._update_worker_status(op, msg)
+            if worker is None:
+                return
+            name = _job_of(worker)
+            if (job := self.workers.get(name)) is not None:
+                delay_s = parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout"))
+                asyncio.get_running_loop().call_later(delay_s, self._end_without_workers, name, job)
+
+        def _end_without_workers(self, name: str, job: Any) -> None:
+            workers = self.scheduler_info["workers"].values()
+            if self.workers.get(name) is job and not any(_job_of(worker) == name for worker in workers):
+                del self.workers[name]
+                self._futures.add(asyncio.ensure_future(job.close()))
+
+    WatchedCluster.__name__ = cls.__name__  # jobs are named after it
+    return WatchedCluster
+
+
+def _job_of(worker: dict[str, Any]) -> str:
+    """Name of the job of a worker, if the job has several; it adds ``-0``, ``-1``, ... to its name."""
+    return str(worker["name"]).rpartition("-")[0]
 
 
 def check_cluster_file(file: PathLike) -> bool:

@@ -58,7 +58,11 @@ def connected(
             client = _started(stack, workers, cluster_file, device, keys_folder, submissions)
         stack.enter_context(client)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-        yield client
+        try:
+            yield client
+        finally:
+            if cluster_file:  # a second Ctrl-C would leave jobs in the batch system
+                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def check_cluster(scheduler: str | None, cluster_file: PathLike | None) -> bool:

@@ -35,6 +35,8 @@ NO_DASHBOARD = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
 # The nanny of a local worker starts it again when it dies. By default, Dask closes the nanny when this takes
 # longer than 15 s, as it can on a busy machine, and the worker would be lost.
 _LOCAL_SETTINGS = {"distributed.deploy.lost-worker-timeout": "1 day"}
+# A job whose worker is gone for this time is cancelled. A worker that is started again needs a part of it.
+_REMOTE_SETTINGS = {"distributed.deploy.lost-worker-timeout": "60s"}
 
 
 class ClusterError(NightError):
@@ -55,7 +57,7 @@ def dask_settings(*, is_local: bool, shows_pages: bool) -> Iterator[None]:
     _quieten()
     folder = str(private_folder())
     settings = _SETTINGS | {"temporary-directory": folder}
-    settings |= (_LOCAL_SETTINGS if is_local else {}) | ({} if shows_pages else _NO_PAGES)
+    settings |= (_LOCAL_SETTINGS if is_local else _REMOTE_SETTINGS) | ({} if shows_pages else _NO_PAGES)
     before = tempfile.tempdir
     tempfile.tempdir = folder  # of job scripts and certificates
     try:

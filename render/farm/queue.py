@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _WAIT_S = 1.0  # between checks whether another command has finished its scenes
 _COUNT_S = 1.0  # between counts of the workers
-_NEXT_JOB_S = 60.0  # after a job has ended, until the next one is submitted, at most
+_NEXT_JOB_S = 180.0  # after the last worker has left, until the next job is submitted, at most
 PATIENCE_S = 600.0  # a run without any worker ends with an error after this time
 _RESTART_S = 60  # time limit for the start of a new worker process
 _MOST_UNBEGUN_DEATHS = 5  # of workers that were given a scene and died before they began it
@@ -75,6 +75,7 @@ class RenderQueue:
     submissions: Submissions = field(default_factory=Submissions)
     work: Callable[[Job], Outcome] = render_scene
     tally: Tally = field(default_factory=Tally)
+    _warned_of: float = -1.0  # time since when there was no worker, at the last warning
 
     def run(self, scenes: Iterable[str]) -> Tally:
         """Render all `scenes`; returns when each is done, recorded as failed, or done by another command.
@@ -153,7 +154,14 @@ class RenderQueue:
                 f"the batch system takes no job ({jobs.refusals[-1]}): correct the --cluster "
                 "file, or the system's settings here"
             )
-        if self.patience_s is not None and time.monotonic() - since > self.patience_s:
+        if waited_s > PATIENCE_S and self._warned_of != since and jobs.unfinished:
+            self._warned_of = since
+            log.warning(
+                "no worker for %.0f minutes, with %d jobs submitted: see the queue of the batch system, "
+                "and the logs of the jobs",
+                *(waited_s / 60, len(jobs.unfinished)),
+            )
+        if self.patience_s is not None and waited_s > self.patience_s:
             raise QueueError(
                 f"no worker has started within {self.patience_s / 60:.0f} minutes: see the workers' logs"
             )
