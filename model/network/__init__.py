@@ -2,5 +2,5 @@
 
 `channels` and `wall_view` prepare the input, `unet` is the network, `readout` reads mask and depth from its
 output, `loss` is minimised in training, `metrics` compares depth maps with ground truth. May import `itof`,
-`scenegen` and `model.settings`; no other wing of `model`.
+`scenegen` and `model.settings`; no other sub-package of `model`.
 """
