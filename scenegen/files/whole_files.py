@@ -94,7 +94,7 @@ def whole_folder(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
 def write_text(path: PathLike, text: str) -> None:
     """Write a UTF-8 text file, complete or not at all.
 
-    Bytes that are not UTF-8, which Python keeps in names of files, are written like ``\\udcff``.
+    Bytes that are not UTF-8, which Python keeps in names of files, are written as escapes.
     """
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")
