@@ -17,10 +17,11 @@ import pytest
 from night_commands import night_here, refusal
 from render_runs import SETTINGS
 
-from render.farm import batch_system
-from render.farm.batch_system import Submissions, batch_cluster
+from render.farm import submissions as batch_submissions
+from render.farm.batch_system import batch_cluster
 from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.queue import QueueError, RenderQueue
+from render.farm.submissions import Submissions
 
 ROOT = Path(__file__).parent.parent
 SBATCH = """#!/bin/sh
@@ -186,7 +187,7 @@ def test_a_job_that_ends_is_submitted_again(slurm, processes):
 
 
 def test_a_job_that_is_refused_beside_others_is_submitted_again(slurm, monkeypatch):
-    monkeypatch.setattr(batch_system, "_RETRY_S", 0.1)
+    monkeypatch.setattr(batch_submissions, "_RETRY_S", 0.1)
     (slurm / "sbatch").write_text(SBATCH.replace("#!/bin/sh\n", "#!/bin/sh\n" + ONE_JOB))
     (slurm / "cluster.yaml").write_text(
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    interface: lo\n"

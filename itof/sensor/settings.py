@@ -131,10 +131,8 @@ class SensorSettings:
         if (self.adc_bits is None) != (self.adc_e_per_dn is None):
             raise ValueError("adc_bits and adc_e_per_dn go together: give both or neither")
         half_width = math.tan(math.radians(self.horizontal_fov_deg) / 2)
-        corner, turning = (
-            half_width * math.hypot(1, self.height / self.width),
-            turning_square(self.distortion),
-        )
+        corner = half_width * math.hypot(1, self.height / self.width)
+        turning = turning_square(self.distortion)
         if turning < math.inf and corner > math.sqrt(turning) * radial_factor(turning, self.distortion):
             raise ValueError(
                 f"a lens of the distortion {', '.join(f'{k:g}' for k in self.distortion)} folds the image "

@@ -9,10 +9,11 @@ from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING
 
 from render.backend import Device
-from render.farm.batch_system import Submissions, batch_cluster, check_cluster_file
+from render.farm.batch_system import batch_cluster, check_cluster_file
 from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.local_workers import local_cluster
 from render.farm.scheduler_address import CONNECT_S, check_address, check_answer
+from render.farm.submissions import Submissions
 from scenegen import PathLike
 
 if TYPE_CHECKING:

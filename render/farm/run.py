@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 from render.backend import select_variant
 from render.edited_scenes import refuse_edited, refuse_measured, without_effect
-from render.farm.batch_system import Submissions
 from render.farm.claims import joined_run, refuse_other_run
 from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
@@ -20,6 +19,7 @@ from render.farm.plan import Plan, make_plan
 from render.farm.queue import QueueError, RenderQueue, Tally
 from render.farm.run_log import LOG_FILE, log_file, log_outcome, logged
 from render.farm.run_result import RunResult
+from render.farm.submissions import Submissions
 from render.settings import RenderError, RenderSettings
 from scenegen import Dataset, NightError, PathLike, inside, read_record
 from scenegen.progress import showing_progress
