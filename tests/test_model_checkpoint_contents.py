@@ -21,7 +21,13 @@ from model.training.processes import Processes
 from model.training.state import TrainingState
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-COURSE = {"ema_decay": 0.5, "precision": "float16", "width": 1, "max_epochs": 1}  # with every part
+COURSE = {
+    "ema_decay": 0.5,
+    "precision": "float16",
+    "width": 1,
+    "max_epochs": 1,
+    "optimiser": "muon",
+}  # every part
 MOST = 10**6
 MISSING = object()
 LOSSES = ("train_loss", "validation_loss", "validation_uncertainty", "loss_total")

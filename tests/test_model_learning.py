@@ -46,6 +46,7 @@ def best_constant_loss(dataset, loss) -> float:
         {"frequencies_hz": (50e6,)},
         {"precision": "bfloat16"},
         {"precision": "float16"},
+        {"optimiser": "muon"},
         {"ema_decay": 0.5, "clip_norm": 1.0, "schedule": "cosine", "warm_up_epochs": 1.0},
     ],
 )

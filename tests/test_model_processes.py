@@ -61,7 +61,13 @@ def test_shares_of_a_batch_are_all_of_it_once_and_the_lent_row_counts_nothing(co
 @pytest.mark.long
 @pytest.mark.parametrize(
     "special",
-    [{"batch_size": 4}, {"batch_size": 5}, {"copies_per_change": 3}, {"bounce_images": True}],
+    [
+        {"batch_size": 4},
+        {"batch_size": 5},
+        {"copies_per_change": 3},
+        {"bounce_images": True},
+        {"optimiser": "muon"},
+    ],
     ids=lambda special: next(f"{name}={value}" for name, value in special.items()),
 )
 def test_two_processes_train_the_network_of_one(dataset, tmp_path, special):

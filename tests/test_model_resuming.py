@@ -120,7 +120,7 @@ def test_an_interrupted_epoch_is_begun_again(closed_form_scenes, whole, tmp_path
 def test_a_training_that_is_asked_to_stop_goes_on_in_the_middle_of_its_epoch(
     closed_form_scenes, tmp_path, number, ending
 ):
-    course = {"max_epochs": 3, "batch_size": 2, "ema_decay": 0.9, "schedule": "cosine"}
+    course = {"max_epochs": 3, "batch_size": 2, "ema_decay": 0.9, "schedule": "cosine", "optimiser": "muon"}
     batches_an_epoch = -(-len(closed_form_scenes.ids("train")) // 2)
     assert batches_an_epoch > 2
     batches = []

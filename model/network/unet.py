@@ -160,6 +160,16 @@ class UNet(nn.Module):
         return [weight for weight in self.parameters() if id(weight) not in apart], second
 
     @property
+    def inner_weights(self) -> list[Tensor]:
+        """Weights, without biases, of the convolutions of encoder and decoder but the first one: they map
+        features to features.
+        """
+        first = self.encoder[0][0].weight  # type: ignore[index]
+        layers = [*self.encoder.modules(), *self.upsampling, *self.decoder.modules()]
+        convolutions = [each for each in layers if isinstance(each, nn.Conv2d | nn.ConvTranspose2d)]
+        return [each.weight for each in convolutions if each.weight is not first]
+
+    @property
     def parameter_count(self) -> int:
         """Number of weights and biases."""
         return sum(parameter.numel() for parameter in self.parameters())

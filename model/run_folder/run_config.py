@@ -50,6 +50,7 @@ _LATER: Final = (
     "copies_per_change",
     "mask_gradient",
     "bounce_images",
+    "optimiser",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]

@@ -79,24 +79,40 @@ def checked_adam(
     value: Any, own: Mapping[str, Any], parameters: Sequence[Tensor], steps: int
 ) -> dict[str, Any]:
     """State of Adam for `parameters` after `steps` steps; `own` is the state of one that has not begun."""
-    found = checked_keys(value, frozenset({"state", "param_groups"}), "adam")
-    (group,), (own_group,) = found["param_groups"], own["param_groups"]
-    checked_keys(group, own_group, "adam.param_groups")
-    checked_number(group["lr"], 0.0, math.inf, "adam.lr")
-    for name in own_group.keys() - {"lr"}:
-        if not _is_same(group[name], own_group[name]):
-            raise ContentsError(f"adam: {name} is not that of this training")
-    moments = found["state"]
-    begun = own_group["params"] if steps else []
-    if not isinstance(moments, dict) or moments.keys() != set(begun):
-        raise ContentsError("adam.state must have an entry for each weight that is trained")
-    for index, parameter in zip(begun, parameters, strict=False):
+    moments = _checked_moments(value, own, steps, "adam")
+    for index, parameter in zip(moments, parameters, strict=False):
         like = {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
         entry = checked_tensors(moments[index], like, f"adam.state.{index}", finite=False)
         done = float(entry["step"])
         if not (done.is_integer() and 0 <= done <= steps) or bool((entry["exp_avg_sq"] < 0).any()):
             raise ContentsError(f"adam.state.{index} has impossible values")
     return {"state": moments, "param_groups": own["param_groups"]}
+
+
+def checked_muon(
+    value: Any, own: Mapping[str, Any], parameters: Sequence[Tensor], steps: int
+) -> dict[str, Any]:
+    """State of Muon for `parameters` after `steps` steps; `own` is the state of one that has not begun."""
+    moments = _checked_moments(value, own, steps, "muon")
+    for index, parameter in zip(moments, parameters, strict=False):
+        checked_tensors(moments[index], {"momentum": parameter}, f"muon.state.{index}")
+    return {"state": moments, "param_groups": own["param_groups"]}
+
+
+def _checked_moments(value: Any, own: Mapping[str, Any], steps: int, name: str) -> dict[int, Any]:
+    """What an optimiser knows of each weight, by its number, in ascending order; its settings are `own`."""
+    found = checked_keys(value, frozenset({"state", "param_groups"}), name)
+    (group,), (own_group,) = found["param_groups"], own["param_groups"]
+    checked_keys(group, own_group, f"{name}.param_groups")
+    checked_number(group["lr"], 0.0, math.inf, f"{name}.lr")
+    for key in own_group.keys() - {"lr"}:
+        if not _is_same(group[key], own_group[key]):
+            raise ContentsError(f"{name}: {key} is not that of this training")
+    moments = found["state"]
+    begun = own_group["params"] if steps else []
+    if not isinstance(moments, dict) or moments.keys() != set(begun):
+        raise ContentsError(f"{name}.state must have an entry for each weight that is trained")
+    return {index: moments[index] for index in begun}
 
 
 def checked_scaler(value: Any, own: Mapping[str, Any]) -> dict[str, Any]:

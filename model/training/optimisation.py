@@ -1,4 +1,4 @@
-"""Update of the weights: Adam, learning rate schedule, gradient clipping, averaged weights."""
+"""Update of the weights: Adam or Muon, learning rate schedule, gradient clipping, averaged weights."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from model.training.checkpoint_contents import (
     ContentsError,
     checked_adam,
     checked_keys,
+    checked_muon,
     checked_scaler,
     checked_tensors,
     checked_whole,
 )
+from model.training.muon import Muon
 
 
 def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:
@@ -61,7 +63,7 @@ def epochs_without_improvement(losses: Sequence[float], min_delta: float) -> int
 
 
 class Optimisation:
-    """Updates the weights of a network with Adam, according to the settings.
+    """Updates the weights of a network with Adam, or with Muon and Adam, according to the settings.
 
     Attributes
     ----------
@@ -75,19 +77,28 @@ class Optimisation:
         self, network: UNet, settings: TrainSettings, steps_per_epoch: int, device: torch.device
     ) -> None:
         self.network, self.settings, self.steps_per_epoch = network, settings, steps_per_epoch
-        self.adam = torch.optim.Adam(self._trained, lr=settings.learning_rate, fused=True)
+        rate, numbers = settings.learning_rate, number_type(settings.precision, device)
+        self._by_adam, self._by_muon = self._shared_out()
+        self.adam = torch.optim.Adam(self._by_adam, lr=rate, fused=True)
+        muon_numbers = torch.bfloat16 if numbers == torch.bfloat16 else torch.float32
+        self.muon = Muon(self._by_muon, rate, muon_numbers) if self._by_muon else None
         # Half floats round gradients below 6e-8 to 0, so the loss is scaled up first.
-        scales = number_type(settings.precision, device) == torch.float16
-        self.scaler = torch.amp.GradScaler(device.type, enabled=scales)
+        self.scaler = torch.amp.GradScaler(device.type, enabled=numbers == torch.float16)
         decay = settings.ema_decay
         self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(decay)) if decay else None
         self.steps = 0
         self.gradient_norm = torch.zeros(())
 
+    def _shared_out(self) -> tuple[list[Tensor], list[Tensor]]:
+        """The weights of Adam and those of Muon, without the frozen ones."""
+        trained: list[Tensor] = [weight for weight in self.network.parameters() if weight.requires_grad]
+        inner = {id(weight) for weight in self.network.inner_weights if self.settings.optimiser == "muon"}
+        by_muon = [weight for weight in trained if id(weight) in inner]
+        return [weight for weight in trained if id(weight) not in inner], by_muon
+
     @property
-    def _trained(self) -> list[Tensor]:
-        """The weights that are not frozen."""
-        return [weight for weight in self.network.parameters() if weight.requires_grad]
+    def _optimisers(self) -> list[torch.optim.Optimizer]:
+        return [self.adam, self.muon] if self.muon else [self.adam]
 
     @property
     def judged(self) -> UNet:
@@ -99,16 +110,19 @@ class Optimisation:
     def step(self, loss: Tensor) -> None:
         """Update the weights to reduce `loss`."""
         rate = learning_rate(self.settings, self.steps, self.steps_per_epoch)
-        for group in self.adam.param_groups:
-            group["lr"] = rate
-        self.adam.zero_grad()
+        for optimiser in self._optimisers:
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+            optimiser.zero_grad()
         self.scaler.scale(loss).backward()
         if self.settings.clip_norm > 0:
-            self.scaler.unscale_(self.adam)
+            for optimiser in self._optimisers:
+                self.scaler.unscale_(optimiser)
             self.gradient_norm, *_ = (
                 clip_grad_norm_(part, self.settings.clip_norm) for part in self.network.independent_parts
             )
-        self.scaler.step(self.adam)
+        for optimiser in self._optimisers:
+            self.scaler.step(optimiser)
         self.scaler.update()
         if self.average is not None:
             self.average.update_parameters(self.network)
@@ -117,6 +131,7 @@ class Optimisation:
     def state(self) -> dict[str, Any]:
         """State that a resumed run needs besides the weights: tensors, numbers and text."""
         return {
+            **({"muon": self.muon.state_dict()} if self.muon else {}),
             "adam": self.adam.state_dict(),
             "scaler": self.scaler.state_dict(),
             "average": self.average.state_dict() if self.average is not None else None,
@@ -128,8 +143,11 @@ class Optimisation:
         found = checked_keys(state, self.state(), "optimisation")
         if checked_whole(found["steps"], 0, steps, "optimisation.steps") != steps:
             raise ContentsError(f"optimisation.steps must be {steps}, as history and position say")
-        adam = checked_adam(found["adam"], self.adam.state_dict(), self._trained, steps)
+        adam = checked_adam(found["adam"], self.adam.state_dict(), self._by_adam, steps)
         self.adam.load_state_dict(adam)
+        if self.muon:
+            muon = checked_muon(found["muon"], self.muon.state_dict(), self._by_muon, steps)
+            self.muon.load_state_dict(muon)
         self.scaler.load_state_dict(checked_scaler(found["scaler"], self.scaler.state_dict()))
         if self.average is None:
             if found["average"] is not None:
