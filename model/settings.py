@@ -108,7 +108,7 @@ class TrainSettings:
     """Components of the output below this become 0 before mask and depth are taken."""
     optimiser: Optimiser = "adam"
     """Adam, as in the paper, or Muon for the inner convolutions and Adam for the other weights, which learns
-    as much from a third of the samples (docs/accuracy.md)."""
+    as much from less than half of the samples (docs/accuracy.md)."""
     learning_rate: Positive = 1e-4
     """Step size of the optimiser: about the size of a step of each weight, with Muon a fifth of it."""
     train_scenes: WholeCount | None = None
@@ -131,6 +131,9 @@ class TrainSettings:
     """For patience, a validation loss is better only if it is lower by more than this."""
     freeze: Freeze = "none"
     """Layers that keep the weights of the run that this one starts from (--from)."""
+    revive: bool = False
+    """Begin with new random weights for those units of the run that this one starts from that are 0 on all
+    of 256 training images: they would learn nothing. The predictions do not change by it."""
     flip_rows: bool = True
     """Flip half of the images top to bottom: an exact symmetry of the scene."""
     flip_columns: bool = False

@@ -51,6 +51,7 @@ _LATER: Final = (
     "mask_gradient",
     "bounce_images",
     "optimiser",
+    "revive",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]

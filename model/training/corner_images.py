@@ -12,8 +12,8 @@ from model.bounces.inverse import bounce_inverse
 from model.bounces.room import room_of
 from model.data.batches import BatchMaker
 from model.data.object_depth import object_depth_m
+from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
-from model.network.bounce_images import BounceImages
 from model.run_folder.run_config import RunConfig
 from scenegen import Dataset
 
@@ -39,16 +39,18 @@ def corner_images(
         return {}
     depth_m = config.object_depth_m or object_depth_m(shards, rows)
     images.load_state_dict(bounce_inverse(images, room_of(dataset), config.geometry, config.inputs, depth_m))
-    deviation = _of_scenes(images, config, shards, rows[:_SCENES]).std()
+    deviation = images(rendered_channels(config, shards, rows[:_SCENES])).std()
     if deviation > 0:
         images.project /= deviation
     return {f"images.{name}": array for name, array in images.state_dict().items()}
 
 
-def _of_scenes(images: BounceImages, config: RunConfig, shards: Shards, rows: Sequence[int]) -> Tensor:
-    """(n, PLANES, H, W) images of some scenes as rendered."""
+def rendered_channels(config: RunConfig, shards: Shards, rows: Sequence[int]) -> Tensor:
+    """(n, C, H, W) input channels of some scenes as rendered."""
     frequencies_hz = shards.manifest.frequencies_hz
     wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
-    maker = BatchMaker.for_shards(config.inputs, frequencies_hz, wall, torch.device("cpu"))
-    found: Tensor = images(maker.batch(maker.upload(shards.read(rows))).channels)
-    return found
+    maker = BatchMaker.for_shards(
+        *(config.inputs, frequencies_hz, wall, torch.device("cpu")),
+        walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
+    )
+    return maker.batch(maker.upload(shards.read(rows))).channels

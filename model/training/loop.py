@@ -51,6 +51,7 @@ from model.training.refusals import (
     refuse_start,
     refuse_untrained_layers,
 )
+from model.training.revival import revived
 from model.training.state import TrainingState, rows_of
 from scenegen import Dataset, PathLike, remove_leftovers
 from scenegen.progress import showing_progress
@@ -155,7 +156,10 @@ def _train(
         goes_on = before is not None and (out / CHECKPOINT_FILE).is_file()
         weights = start.weights if start else {}
         if not goes_on:
-            weights = weights | corner_images(config, dataset, shards, rows_of(shards, "train", settings))
+            rows = rows_of(shards, "train", settings)
+            weights = weights | corner_images(config, dataset, shards, rows)
+            if settings.revive:
+                weights = revived(weights, config, shards, rows)
         state = TrainingState(config, shards, processes, memory_bytes, weights)
         checkpoint = load_checkpoint(out, before, state.weights_bytes) if before else None
         if checkpoint:

@@ -59,16 +59,17 @@ class Muon(torch.optim.Optimizer):
 
 
 def orthogonalised(matrix: Tensor) -> Tensor:
-    """The (n, m) matrix with singular values between 0.7 and 1.2 instead of its own; 0 stays 0.
+    """The (n, m) matrix with singular values between 0.7 and 1.2 instead of its own.
 
     The Newton-Schulz iteration X <- a X + b (X X^T) X + c (X X^T)^2 X changes singular values only. Those
-    below a thousandth of the norm stay smaller.
+    below a thousandth of the norm stay smaller, and so do all of a matrix with a norm below 1e-7: such is the
+    momentum of a layer that gets no gradient any more.
 
     Source: Jordan et al. 2024.
     """
     is_tall = matrix.shape[0] > matrix.shape[1]
     x = matrix.T if is_tall else matrix
-    x = x / x.norm().clamp(min=torch.finfo(torch.float32).tiny)
+    x = x / x.norm().clamp(min=1e-7)
     a, b, c = _QUINTIC
     for _ in range(ITERATIONS):
         gram = x @ x.T

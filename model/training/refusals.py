@@ -49,7 +49,12 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
 
 
 def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> None:
-    """`TrainingError` if layers are frozen that nothing has trained."""
+    """`TrainingError` if layers are frozen, or units revived, that nothing has trained."""
+    if settings.revive and not is_trained:
+        raise TrainingError(
+            "revive renews units of a trained run, but this training begins with random weights: give a run "
+            "with --from, or leave revive out"
+        )
     if settings.freeze != "none" and not is_trained:
         raise TrainingError(
             f"freeze {settings.freeze} keeps layers of a trained run, but this training begins with random "
