@@ -182,6 +182,7 @@ def main() -> None:
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     changes = {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
+    changes["optimiser"] = "adam"  # Muon is for the layers of our own U-Net
     dataset = open_dataset(given.dataset)
     for name in given.only:
         found = []

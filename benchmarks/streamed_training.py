@@ -40,6 +40,7 @@ def main() -> None:
         max_epochs=EPOCHS,
         progress=False,
         bounce_images=False,
+        optimiser="adam",  # whose steps take no time to speak of
         checkpoint_minutes=1e3,
     )
     with TemporaryDirectory() as folder:

@@ -32,8 +32,8 @@ Precision = Literal["auto", "float32", "bfloat16", "float16"]
 Schedule = Literal["constant", "cosine"]
 Optimiser = Literal["adam", "muon"]
 MAY_CHANGE_ON_RESUME = frozenset({"max_epochs", "device", "progress", "checkpoint_minutes", "compile"})
-# A run that starts from the weights of another one has its network and input, and by default its readout and
-# the loss that goes with it.
+# A run that starts from the weights of another one has its network and input, and by default its readout, the
+# loss that goes with it, and its optimiser: dead units that Adam left make Muon unstable.
 NETWORK_SETTINGS = (
     "channels",
     "reference",
@@ -46,6 +46,7 @@ NETWORK_SETTINGS = (
     "bounce_images",
 )
 READOUT_SETTINGS = ("loss", "mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone")
+STARTING_SETTINGS = (*NETWORK_SETTINGS, *READOUT_SETTINGS, "optimiser")
 NotNegative = Annotated[float, Field(ge=0)]
 
 

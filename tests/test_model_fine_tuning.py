@@ -214,6 +214,8 @@ def test_python_has_the_same_refusals(seeing_run, finished_copy, wider, tmp_path
     tmp_path = tmp_path_factory.mktemp("refused")
     inherited = model.fine_tuning_settings(seeing_run)
     assert (inherited["width"], inherited["frequencies_hz"]) == (8, (20e6, 50e6, 60e6))
+    preset = model.training_preset("default")[0]
+    assert (preset["optimiser"], (preset | inherited)["optimiser"]) == ("muon", "adam")  # that of the run
     with pytest.raises(RunError, match="width is 2, but"):
         train(wider, tmp_path / "run", settings(), start_from=seeing_run)
     with pytest.raises(RunError, match="leave out resume or start_from"):

@@ -23,7 +23,7 @@ from model.network.unet import UNet
 from model.network.wall_view import WallView
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
-from model.settings import MAY_CHANGE_ON_RESUME, NETWORK_SETTINGS, READOUT_SETTINGS, TrainSettings
+from model.settings import MAY_CHANGE_ON_RESUME, STARTING_SETTINGS, TrainSettings
 from scenegen import NightError, PathLike, whole_file
 from scenegen.contract import STRICT, FieldOfView, Positive, checked
 
@@ -269,14 +269,15 @@ def run_settings(folder: PathLike) -> dict[str, Any]:
 def fine_tuning_settings(folder: PathLike) -> dict[str, Any]:
     """The settings that a training takes over if it starts from the weights of this run, as plain data.
 
-    They are its network and input, which must stay, and its readout and loss, which may be changed.
+    They are its network and input, which must stay, and its readout, loss and optimiser, which may be
+    changed.
 
     Raises
     ------
     RunError : as in `read_config`.
     """
     config = read_config(run_folder(folder))
-    settings = {name: getattr(config.settings, name) for name in (*NETWORK_SETTINGS, *READOUT_SETTINGS)}
+    settings = {name: getattr(config.settings, name) for name in STARTING_SETTINGS}
     return settings | {"frequencies_hz": config.inputs.frequencies_hz}
 
 

@@ -92,7 +92,8 @@ class Optimisation:
     def _shared_out(self) -> tuple[list[Tensor], list[Tensor]]:
         """The weights of Adam and those of Muon, without the frozen ones."""
         trained: list[Tensor] = [weight for weight in self.network.parameters() if weight.requires_grad]
-        inner = {id(weight) for weight in self.network.inner_weights if self.settings.optimiser == "muon"}
+        has_muon = self.settings.optimiser == "muon"
+        inner = {id(weight) for weight in self.network.inner_weights} if has_muon else set()
         by_muon = [weight for weight in trained if id(weight) in inner]
         return [weight for weight in trained if id(weight) not in inner], by_muon
 
