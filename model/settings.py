@@ -108,8 +108,8 @@ class TrainSettings:
     dead_zone: NotNegative = 0.05
     """Components of the output below this become 0 before mask and depth are taken."""
     optimiser: Optimiser = "adam"
-    """Adam, as in the paper, or Muon for the inner convolutions and Adam for the other weights, which learns
-    as much from less than half of the samples (docs/accuracy.md)."""
+    """Adam, as in the paper; or Muon for the inner convolutions and Adam for the other weights, which has a
+    smaller error after the same training (docs/accuracy.md)."""
     learning_rate: Positive = 1e-4
     """Step size of the optimiser: about the size of a step of each weight, with Muon a fifth of it."""
     train_scenes: WholeCount | None = None
