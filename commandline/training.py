@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     "start_from",
     type=FOLDER,
     metavar="RUN",
-    help="Start from the best weights of this run, with its network, input and readout (fine-tuning).",
+    help="Start from the best weights of this run, with its network, input, readout, loss and optimiser "
+    "(fine-tuning).",
 )
 @TRAINING
 @JSON
@@ -60,8 +61,8 @@ def _chosen_settings(
 ) -> TrainSettings:
     """Settings of the run in `out` if it is resumed, then those of the preset, then the given options.
 
-    A run that starts from another one has the network, the input, the readout and the loss of that one, not
-    those of the preset.
+    A run that starts from another one has the network, the input, the readout, the loss and the optimiser of
+    that one, not those of the preset.
     """
     import model
 

@@ -111,7 +111,8 @@ class TrainSettings:
     """Adam, as in the paper; or Muon for the inner convolutions and Adam for the other weights, which has a
     smaller error after the same training (docs/accuracy.md)."""
     learning_rate: Positive = 1e-4
-    """Step size of the optimiser: about the size of a step of each weight, with Muon a fifth of it."""
+    """Step size of the optimiser. With both, the root mean square of a weight's step is about a fifth of it;
+    the first steps of Adam are as large as it."""
     train_scenes: WholeCount | None = None
     """Train on the first so many training scenes only, for learning curves; by default on all."""
     batch_size: WholeCount = 32
@@ -134,7 +135,7 @@ class TrainSettings:
     """Layers that keep the weights of the run that this one starts from (--from)."""
     revive: bool = False
     """Begin with new random weights for those units of the run that this one starts from that are 0 on all
-    of 256 training images: they would learn nothing. The predictions do not change by it."""
+    of 256 training images as rendered: they would learn nothing. The predictions of these images stay."""
     flip_rows: bool = True
     """Flip half of the images top to bottom: an exact symmetry of the scene."""
     flip_columns: bool = False

@@ -107,7 +107,27 @@ def test_inner_layers_step_by_a_fifth_of_the_rate_and_all_other_weights_by_adam(
 def test_frozen_layers_stay(freeze):
     net = network()
     net.freeze(freeze)
-    for name, step in steps_of(net).items():
+    steps = steps_of(net)
+    assert any(step.any() for step in steps.values())
+    for name, step in steps.items():
         is_frozen = name.startswith("encoder") or (freeze == "all-but-head" and not name.startswith("head"))
         assert not (is_frozen and step.any()), name
-    assert any(weight.grad is not None for weight in net.head.parameters())
+
+
+@pytest.mark.parametrize("broken", ["encoder.1.0.weight", "encoder.0.0.weight"])
+def test_an_overflow_in_the_gradients_of_one_optimiser_leaves_the_whole_step_out(broken):
+    net = network()
+    settings = TrainSettings(
+        width=4, learning_rate=1e-2, optimiser="muon", clip_norm=1.0, precision="float16"
+    )
+    optimisation = Optimisation(net, settings, 5, CPU)
+    before = {name: weight.detach().clone() for name, weight in net.named_parameters()}
+    hook = net.get_parameter(broken).register_hook(lambda gradient: gradient * float("nan"))
+    optimisation.step(loss_of(net))
+    hook.remove()
+    assert all(torch.equal(weight, before[name]) for name, weight in net.named_parameters())
+    again = Optimisation(net, settings, 5, CPU)
+    again.restore(optimisation.state(), 1)  # a checkpoint after such a step can be resumed
+    again.step(loss_of(net))
+    assert all(bool(weight.isfinite().all()) for weight in net.parameters())
+    assert not torch.equal(net.get_parameter(broken), before[broken])

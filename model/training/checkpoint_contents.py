@@ -79,7 +79,7 @@ def checked_adam(
     value: Any, own: Mapping[str, Any], parameters: Sequence[Tensor], steps: int
 ) -> dict[str, Any]:
     """State of Adam for `parameters` after `steps` steps; `own` is the state of one that has not begun."""
-    moments = _checked_moments(value, own, steps, "adam")
+    moments = _checked_moments(value, own, "adam", has_begun=steps > 0)
     for index, parameter in zip(moments, parameters, strict=False):
         like = {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
         entry = checked_tensors(moments[index], like, f"adam.state.{index}", finite=False)
@@ -89,17 +89,15 @@ def checked_adam(
     return {"state": moments, "param_groups": own["param_groups"]}
 
 
-def checked_muon(
-    value: Any, own: Mapping[str, Any], parameters: Sequence[Tensor], steps: int
-) -> dict[str, Any]:
-    """State of Muon for `parameters` after `steps` steps; `own` is the state of one that has not begun."""
-    moments = _checked_moments(value, own, steps, "muon")
+def checked_muon(value: Any, own: Mapping[str, Any], parameters: Sequence[Tensor]) -> dict[str, Any]:
+    """State of Muon for `parameters`; `own` is the state of one that has not begun."""
+    moments = _checked_moments(value, own, "muon", has_begun=True)
     for index, parameter in zip(moments, parameters, strict=False):
         checked_tensors(moments[index], {"momentum": parameter}, f"muon.state.{index}")
     return {"state": moments, "param_groups": own["param_groups"]}
 
 
-def _checked_moments(value: Any, own: Mapping[str, Any], steps: int, name: str) -> dict[int, Any]:
+def _checked_moments(value: Any, own: Mapping[str, Any], name: str, *, has_begun: bool) -> dict[int, Any]:
     """What an optimiser knows of each weight, by its number, in ascending order; its settings are `own`."""
     found = checked_keys(value, frozenset({"state", "param_groups"}), name)
     (group,), (own_group,) = found["param_groups"], own["param_groups"]
@@ -109,7 +107,7 @@ def _checked_moments(value: Any, own: Mapping[str, Any], steps: int, name: str) 
         if not _is_same(group[key], own_group[key]):
             raise ContentsError(f"{name}: {key} is not that of this training")
     moments = found["state"]
-    begun = own_group["params"] if steps else []
+    begun = own_group["params"] if has_begun else []
     if not isinstance(moments, dict) or moments.keys() != set(begun):
         raise ContentsError(f"{name}.state must have an entry for each weight that is trained")
     return {index: moments[index] for index in begun}

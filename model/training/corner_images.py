@@ -14,6 +14,7 @@ from model.data.batches import BatchMaker
 from model.data.object_depth import object_depth_m
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
+from model.network.channels import IMAGES_AT_ONCE
 from model.run_folder.run_config import RunConfig
 from scenegen import Dataset
 
@@ -53,4 +54,5 @@ def rendered_channels(config: RunConfig, shards: Shards, rows: Sequence[int]) ->
         *(config.inputs, frequencies_hz, wall, torch.device("cpu")),
         walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
     )
-    return maker.batch(maker.upload(shards.read(rows))).channels
+    parts = [rows[start : start + IMAGES_AT_ONCE] for start in range(0, len(rows), IMAGES_AT_ONCE)]
+    return torch.cat([maker.batch(maker.upload(shards.read(part))).channels for part in parts])

@@ -38,6 +38,9 @@ class Muon(torch.optim.Optimizer):
     ) -> None:
         self._number_type = number_type
         super().__init__(weights, {"lr": learning_rate})
+        for group in self.param_groups:
+            for weight in group["params"]:  # from the start, because steps may be left out
+                self.state[weight]["momentum"] = torch.zeros_like(weight)
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> None:  # type: ignore[override]
@@ -48,10 +51,7 @@ class Muon(torch.optim.Optimizer):
                     self._move(weight, weight.grad, group["lr"])
 
     def _move(self, weight: Tensor, gradient: Tensor, learning_rate: float) -> None:
-        state = self.state[weight]
-        if not state:
-            state["momentum"] = torch.zeros_like(weight)
-        momentum = state["momentum"].lerp_(gradient, 1 - MOMENTUM)
+        momentum = self.state[weight]["momentum"].lerp_(gradient, 1 - MOMENTUM)
         ahead = gradient.lerp(momentum, MOMENTUM).flatten(1)  # Nesterov
         step = orthogonalised(ahead.to(self._number_type)).to(weight.dtype)
         scale: float = SCALE * max(ahead.shape) ** 0.5

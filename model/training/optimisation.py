@@ -116,6 +116,8 @@ class Optimisation:
                 group["lr"] = rate
             optimiser.zero_grad()
         self.scaler.scale(loss).backward()
+        if self.muon and self.scaler.is_enabled():
+            self._spoil_all_if_one_overflowed()
         if self.settings.clip_norm > 0:
             for optimiser in self._optimisers:
                 self.scaler.unscale_(optimiser)
@@ -128,6 +130,13 @@ class Optimisation:
         if self.average is not None:
             self.average.update_parameters(self.network)
         self.steps += 1
+
+    def _spoil_all_if_one_overflowed(self) -> None:
+        """Let the scaler leave the step of every optimiser out, not only of the one that has the overflow."""
+        gradients = [weight.grad for weight in (*self._by_adam, *self._by_muon) if weight.grad is not None]
+        if not all(bool(gradient.isfinite().all()) for gradient in gradients):
+            for weights in (self._by_adam, self._by_muon):
+                next(weight.grad for weight in weights if weight.grad is not None).fill_(math.inf)
 
     def state(self) -> dict[str, Any]:
         """State that a resumed run needs besides the weights: tensors, numbers and text."""
@@ -147,7 +156,7 @@ class Optimisation:
         adam = checked_adam(found["adam"], self.adam.state_dict(), self._by_adam, steps)
         self.adam.load_state_dict(adam)
         if self.muon:
-            muon = checked_muon(found["muon"], self.muon.state_dict(), self._by_muon, steps)
+            muon = checked_muon(found["muon"], self.muon.state_dict(), self._by_muon)
             self.muon.load_state_dict(muon)
         self.scaler.load_state_dict(checked_scaler(found["scaler"], self.scaler.state_dict()))
         if self.average is None:

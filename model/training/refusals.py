@@ -55,6 +55,10 @@ def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> Non
             "revive renews units of a trained run, but this training begins with random weights: give a run "
             "with --from, or leave revive out"
         )
+    if settings.revive and settings.freeze != "none":
+        raise TrainingError(
+            f"revive renews units also in layers that freeze {settings.freeze} keeps: leave one of them out"
+        )
     if settings.freeze != "none" and not is_trained:
         raise TrainingError(
             f"freeze {settings.freeze} keeps layers of a trained run, but this training begins with random "
