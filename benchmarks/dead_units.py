@@ -16,7 +16,7 @@ from model.network.unet import LEVELS
 from model.run_folder.run_config import read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
-from model.training.corner_images import rendered_channels
+from model.training.rendered_channels import rendered_channels
 from scenegen import open_dataset
 
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import torch
 from torch import Tensor
 
 from model.bounces.inverse import bounce_inverse
 from model.bounces.room import room_of
-from model.data.batches import BatchMaker
 from model.data.object_depth import object_depth_m
-from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
-from model.network.channels import IMAGES_AT_ONCE
 from model.run_folder.run_config import RunConfig
+from model.training.rendered_channels import rendered_channels
 from scenegen import Dataset
 
 _SCENES: Final = 64  # whose images have the variance 1
@@ -44,15 +41,3 @@ def corner_images(
     if deviation > 0:
         images.project /= deviation
     return {f"images.{name}": array for name, array in images.state_dict().items()}
-
-
-def rendered_channels(config: RunConfig, shards: Shards, rows: Sequence[int]) -> Tensor:
-    """(n, C, H, W) input channels of some scenes as rendered."""
-    frequencies_hz = shards.manifest.frequencies_hz
-    wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
-    maker = BatchMaker.for_shards(
-        *(config.inputs, frequencies_hz, wall, torch.device("cpu")),
-        walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
-    )
-    parts = [rows[start : start + IMAGES_AT_ONCE] for start in range(0, len(rows), IMAGES_AT_ONCE)]
-    return torch.cat([maker.batch(maker.upload(shards.read(part))).channels for part in parts])

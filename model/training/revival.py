@@ -12,7 +12,7 @@ from torch import Tensor
 from model.data.shards import Shards
 from model.network.dead_units import revive
 from model.run_folder.run_config import RunConfig
-from model.training.corner_images import rendered_channels
+from model.training.rendered_channels import rendered_channels
 
 _SCENES: Final = 256  # on which a unit is looked at; the result depends on it
 
