@@ -50,6 +50,15 @@ def test_the_length_of_the_gradient_does_not_matter():
         )
 
 
+def test_a_far_too_large_learning_rate_spoils_the_weights_as_it_does_with_adam():
+    # A loss that is not finite then ends the training with one sentence.
+    weight = torch.nn.Parameter(random(4, 3))
+    optimiser = Muon([weight], 1e300)
+    weight.square().sum().backward()
+    optimiser.step()
+    assert not bool(weight.isfinite().any())
+
+
 @pytest.mark.parametrize("number", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("factor", [0.0, 1e-38, 1e-22])
 def test_a_layer_without_a_gradient_stays_though_its_momentum_is_hardly_0(number, factor):

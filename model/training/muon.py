@@ -55,7 +55,7 @@ class Muon(torch.optim.Optimizer):
         ahead = gradient.lerp(momentum, MOMENTUM).flatten(1)  # Nesterov
         step = orthogonalised(ahead.to(self._number_type)).to(weight.dtype)
         scale: float = SCALE * max(ahead.shape) ** 0.5
-        weight.sub_(step.reshape(weight.shape), alpha=learning_rate * scale)
+        weight -= step.reshape(weight.shape) * (learning_rate * scale)  # inf, not an error, if too large
 
 
 def orthogonalised(matrix: Tensor) -> Tensor:
