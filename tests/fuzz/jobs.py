@@ -144,8 +144,11 @@ class Stage:
 
     def _recovery(self):
         goes_on = self.job.again and (self.arena.work / self.job.resumes).exists()
+        was_whole = self.job.whole and self.result() == self.new
         again = self._run(self.job.again if goes_on else self.job.command)
-        if again.code != 0:
+        # Killed between its last change and its end: a command that keeps existing files says so then.
+        kept = was_whole and "exists already" in (again.err or "")
+        if again.code != 0 and not kept:
             return f"the next command failed: {again.err or again}"
         result = self.result()
         if result != self.new:
