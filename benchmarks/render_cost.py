@@ -7,6 +7,7 @@ is measured, because the first time compiles its kernels. The median of --repeat
     .venv/bin/python benchmarks/render_cost.py transient
     .venv/bin/python benchmarks/render_cost.py growth
     .venv/bin/python benchmarks/render_cost.py stages
+    .venv/bin/python benchmarks/render_cost.py materials
 """
 
 import argparse
@@ -16,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
+from unittest.mock import patch
 
 import trimesh
 from machine_limits import copied_bytes, file_seconds, occlusion_rays
@@ -26,6 +28,9 @@ from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
+from render.transport.kernels.rough_wall import register_rough_wall
+from render.transport.many_light import ManyLight
+from render.transport.method import ROUGH_WALL
 from render.transport.scene_loading import load_scene
 from scenegen import Dataset
 
@@ -39,7 +44,7 @@ BINS = (500, 2000, 6000)  # at 320 x 240; more are not written
 def main() -> None:
     """Run the chosen benchmark."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("what", choices=["itof", "transient", "growth", "stages"])
+    arguments.add_argument("what", choices=["itof", "transient", "growth", "stages", "materials"])
     arguments.add_argument("--size", default="320x240", help="image size, default 320x240")
     arguments.add_argument("--error", type=float, default=0.005, help="wanted error, default 0.005")
     arguments.add_argument("--repeats", type=int, default=3, help="renders of which the median counts")
@@ -56,6 +61,8 @@ def main() -> None:
             growth(*scenes[0], given)
         elif given.what == "stages":
             stages(scenes, given)
+        elif given.what == "materials":
+            materials(scenes, given)
         else:
             pairs(scenes, given)
 
@@ -182,6 +189,25 @@ def stages(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) ->
     )
     print_table("limits", ((r, {n: c[r] for n, c in zip(names, limits, strict=True)}) for r in limits[0]))
     print(f"\nnumpy copies {copied_bytes() / 1e9:.1f} GB a second with one thread.")
+
+
+def materials(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> None:
+    """Print the time of all scenes in turn, with Mitsuba's material of the wall and with ours."""
+    settings = settings_of(given)
+    rounds: dict[str, list[float]] = {}
+    for number in range(given.repeats + 1):
+        for plugin in (ROUGH_WALL, register_rough_wall(select_variant())):
+            renderers = [(Renderer(dataset, settings), scene_id) for _, dataset, scene_id in scenes]
+            started = time.perf_counter()
+            with patch.object(ManyLight, "rough_wall", plugin):
+                for renderer, scene_id in renderers:
+                    renderer.render(scene_id)
+            if number:  # the first round compiles the kernels
+                rounds.setdefault(plugin, []).append(time.perf_counter() - started)
+    theirs, ours = (median(seconds) / len(scenes) for seconds in rounds.values())
+    print(f"\n{len(scenes)} scenes in turn, of different roughness; median of {given.repeats} rounds")
+    print(f"{1e3 * theirs:.0f} ms a scene with {ROUGH_WALL}, {1e3 * ours:.0f} ms with ours")
+    print(f"ratio {theirs / ours:.2f}")
 
 
 def disk_ms(folder: Path, sizes: list[int]) -> float:

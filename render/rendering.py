@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -149,7 +150,8 @@ class Renderer:
         folder = self.dataset.render_folder(scene.id)
         view = self._view(self.settings.bounces(self.dataset), scene.seed)
         try:
-            loaded = scene_from_data(seen_description(scene), source.files, source.folder)
+            seen, wall = seen_description(scene), self._method.rough_wall
+            loaded = scene_from_data(seen, source.files, source.folder, wall)
             exposure = self._method.expose(loaded, view)
         except (SceneError, HiddenSurfaceError) as error:
             raise RenderError(f"scene {scene.id}: {error}") from None
@@ -220,15 +222,22 @@ class Renderer:
 
     def _attributes(self, scene_id: str) -> dict[str, str]:
         return {
-            "generator": f"night-render {version('night-nlos')}",
-            "mitsuba_version": version("mitsuba"),
-            "mitransient_version": version("mitransient"),
+            **_versions(),
             "variant": self.variant,
             "scene_id": scene_id,
             "method": self.settings.method,
             "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),
         }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {
+        "generator": f"night-render {version('night-nlos')}",
+        "mitsuba_version": version("mitsuba"),
+        "mitransient_version": version("mitransient"),
+    }
 
 
 def _forget_earlier(folder: Path, recipe: str) -> None:

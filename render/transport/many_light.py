@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from render.options import ManyLightOptions
 from render.transport.film.pixels import Grid, PixelRule, gauss_rule
+from render.transport.kernels.rough_wall import register_rough_wall
 from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_surface
 from render.transport.lights.light_pass import Lights, light_density, make_lights
 from render.transport.lights.run_statistics import needed_points
@@ -55,6 +56,12 @@ class ManyLight:
 
     def __init__(self, options: ManyLightOptions, variant: str) -> None:
         self.options = options
+        self._variant = variant
+
+    @property
+    def rough_wall(self) -> str:
+        """Our plugin, which Mitsuba loads sooner than its own."""
+        return register_rough_wall(self._variant)
 
     def expose(self, scene: mi.Scene, view: View) -> ManyLightExposure:
         """Make the lights of a scene.

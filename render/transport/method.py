@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 
+ROUGH_WALL = "roughplastic"  # Mitsuba's plugin for the material of a rough relay wall
+
+
 @dataclass(frozen=True)
 class View:
     """One measurement of a scene.
@@ -77,6 +80,10 @@ class Method(Protocol):
     @property
     def name(self) -> str:
         """Name of the method, as ``--method`` takes it."""
+
+    @property
+    def rough_wall(self) -> str:
+        """Plugin for the material of a rough relay wall: `ROUGH_WALL`, or one that is equal to it."""
 
     def expose(self, scene: mi.Scene, view: View) -> Exposure:
         """Prepare the measurement of a scene."""

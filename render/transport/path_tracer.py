@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from render.options import PathOptions
 from render.transport.film.lattice import Lattice
-from render.transport.method import View
+from render.transport.method import ROUGH_WALL, View
 from render.transport.passes.direct_pass import sample_direct
 from render.transport.transient_film import FILM_PLUGIN, register_film
 
@@ -41,6 +41,7 @@ class PathTracer:
     """
 
     name = PathOptions.method
+    rough_wall = ROUGH_WALL  # Mitsuba's own
 
     def __init__(self, options: PathOptions, variant: str) -> None:
         self.passes = -(-options.spp // _SAMPLES_PER_PASS)

@@ -9,20 +9,24 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from render.transport.method import ROUGH_WALL
 from scenegen import Dataset, NightError
 from scenegen.mitsuba_description import Description, mirrored_description, seen_description
 from scenegen.scene_folder import read_scene_folder, scene_of
-from scenegen.triangles import scene_texture_coordinates, scene_triangles
+from scenegen.triangles import MeshError, scene_texture_coordinates, scene_triangles
 from scenegen.wall_image import WALL_IMAGE
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+_KEPT_MESHES = 8  # at least the walls, which are the same in all scenes
 
 _kept: dict[tuple[str | None, str], mi.BSDF] = {}
 _PFM = re.compile(rb"Pf\n([0-9]{1,5}) ([0-9]{1,5})\n-1\.0\n", re.ASCII)
@@ -45,7 +49,9 @@ def load_scene(dataset: Dataset, scene_id: str, *, mirrored: bool = False) -> mi
     return scene_from_data((mirrored_description if mirrored else seen_description)(scene), files, folder)
 
 
-def scene_from_data(description: Description, files: Mapping[str, bytes], folder: Path) -> mi.Scene:
+def scene_from_data(
+    description: Description, files: Mapping[str, bytes], folder: Path, rough_wall: str = ROUGH_WALL
+) -> mi.Scene:
     """Load a description into Mitsuba.
 
     Parameters
@@ -53,6 +59,7 @@ def scene_from_data(description: Description, files: Mapping[str, bytes], folder
     description : scene from `scenegen.mitsuba_description`.
     files : contents of the files that it names.
     folder : where the files are, for the message of an error.
+    rough_wall : plugin in place of ``roughplastic`` (see `Method.rough_wall`).
 
     Raises
     ------
@@ -62,7 +69,7 @@ def scene_from_data(description: Description, files: Mapping[str, bytes], folder
 
     try:
         bsdfs = {
-            f"{name}": _bsdf(part, files, folder)
+            f"{name}": _bsdf(_with_rough_wall(part, rough_wall), files, folder)
             for name, part in description.items()
             if isinstance(part, dict) and part["type"] == "twosided"
         }
@@ -75,7 +82,7 @@ def scene_from_data(description: Description, files: Mapping[str, bytes], folder
                 material = part["bsdf"]["id"]
                 shown = _has_image(description[material])
                 texture = scene_texture_coordinates(contents, origin) if shown else None
-                parts[name] = _mesh(name, *scene_triangles(contents, origin), bsdfs[material], texture)
+                parts[name] = _mesh(name, *_triangles(contents, origin), bsdfs[material], texture)
             else:
                 parts[name] = _loadable(part, files, folder)
         # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
@@ -92,18 +99,42 @@ def _has_image(part: Any) -> bool:
 
 
 def _bsdf(part: dict[str, Any], files: Mapping[str, bytes], folder: Path) -> mi.BSDF:
-    """A BSDF; that of the last rough wall is kept, because Mitsuba takes 25 ms to make one."""
+    """A BSDF; the last ``roughplastic`` is kept, because Mitsuba takes 75 ms to make one."""
     import mitsuba as mi
 
     if _has_image(part):
         return mi.load_dict(_loadable(part, files, folder))
-    if not any(isinstance(inner, dict) and inner["type"] == "roughplastic" for inner in part.values()):
+    if not any(isinstance(inner, dict) and inner["type"] == ROUGH_WALL for inner in part.values()):
         return mi.load_dict(part)
     key = (mi.variant(), json.dumps(part, sort_keys=True))
     if key not in _kept:
         _kept.clear()  # first, because DrJit numbers all BSDFs that exist
         _kept[key] = mi.load_dict(part)
     return _kept[key]
+
+
+def _with_rough_wall(part: dict[str, Any], plugin: str) -> dict[str, Any]:
+    """A material with `plugin` in place of ``roughplastic``."""
+    return {
+        key: {**inner, "type": plugin} if isinstance(inner, dict) and inner["type"] == ROUGH_WALL else inner
+        for key, inner in part.items()
+    }
+
+
+def _triangles(contents: bytes, origin: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """`scene_triangles` of one of the last meshes, or of a new one."""
+    try:
+        return _kept_triangles(contents)
+    except MeshError:
+        return scene_triangles(contents, origin)  # raises it with the name of the file
+
+
+@lru_cache(_KEPT_MESHES)
+def _kept_triangles(contents: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    vertices, triangles = scene_triangles(contents, "")
+    for array in (vertices, triangles):
+        array.setflags(write=False)
+    return vertices, triangles
 
 
 def _mesh(
