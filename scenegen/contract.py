@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from scenegen.night_error import NightError
 
@@ -30,6 +31,18 @@ Roughness = Annotated[float, Field(gt=0, le=1)]
 MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0
 FieldOfView = Annotated[float, Field(ge=MIN_FOV_DEG, le=MAX_FOV_DEG)]  # degrees
 _MOST_CHARACTERS = 100  # of a value in a message
+# What a value must be, by pydantic's name of the problem, where its own words name types of Python.
+_WANTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "tuple_type": "a list of values in [ ]",
+    "list_type": "a list of values in [ ]",
+    "dict_type": "a table of keys and values",
+    "dataclass_type": "a table of keys and values",
+}
 
 
 class ContractError(NightError):
@@ -59,18 +72,32 @@ def checked(
     try:
         return adapter.validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-            problem = f"unknown key {key}"
-        elif first["type"] == "missing":
-            problem = f"key {key} is missing"
-        elif first["type"] == "value_error" and not first["loc"]:
-            problem = first["msg"].removeprefix("Value error, ")  # of several keys together, which it names
-        else:
-            given = f" (got {_shortened(first['input'])})" if not isinstance(first["input"], dict) else ""
-            problem = f"{key}: {first['msg'].removeprefix('Value error, ')}{given}"
-        raise refusal(f"{origin}: {problem}") from None
+        raise refusal(f"{origin}: {_problem(error.errors()[0])}") from None
+
+
+def _problem(error: ErrorDetails) -> str:
+    """What is wrong with a key, and what it must be."""
+    kind, place = error["type"], error["loc"]
+    key = ".".join(str(part) for part in place) or "the file"
+    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"unknown key {key}"
+    if kind == "missing" and place and isinstance(place[-1], int):
+        return f"{'.'.join(str(part) for part in place[:-1])} has too few values: only {place[-1]}"
+    if kind == "missing":
+        return f"key {key} is missing"
+    message = error["msg"].removeprefix("Value error, ")
+    if kind == "value_error" and not place:
+        return message  # of several keys together, which it names
+    if kind in ("too_short", "too_long"):
+        limits, side = error["ctx"], "min" if kind == "too_short" else "max"
+        bound = f"{'at least' if side == 'min' else 'at most'} {limits[f'{side}_length']}"
+        return f"{key} has {limits['actual_length']} values instead of {bound}"
+    given = f" (got {_shortened(error['input'])})" if not isinstance(error["input"], dict) else ""
+    if kind in _WANTED:
+        return f"{key} must be {_WANTED[kind]}{given}"
+    if message.startswith("Input should be "):
+        return f"{key} must be {message.removeprefix('Input should be ')}{given}"
+    return f"{key}: {message}{given}"
 
 
 def _shortened(value: object) -> str:

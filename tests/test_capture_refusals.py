@@ -129,10 +129,10 @@ KEYS = {
     "phase_unit dn and phase_period_dn go together": {"phase_unit": "dn"},
     "8-bit numbers are too coarse": {"bits": 8},
     "dark_file needs dark_arrays": {"dark_file": "dark.npz"},
-    "step_count: Input should be less than or equal to 64": {"step_count": 65},
-    "lens.fx: Input should be greater than 0": {"lens": {"fx": 0.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}},
-    "horizontal_fov_deg: Input should be less than or equal to 170": {"horizontal_fov_deg": 200.0},
-    "phase_sign: Input should be 1 or -1": {"phase_sign": 0},
+    "step_count must be less than or equal to 64": {"step_count": 65},
+    "lens.fx must be greater than 0": {"lens": {"fx": 0.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}},
+    "horizontal_fov_deg must be less than or equal to 170": {"horizontal_fov_deg": 200.0},
+    "phase_sign must be 1 or -1": {"phase_sign": 0},
     "format must be the name of a format": {"format": "../presets/paper"},
 }
 

@@ -181,7 +181,7 @@ def test_settings_name_a_camera_and_hold_what_it_is(tmp_path):
     for changes, words in (
         ({"sensor": asdict(SENSOR), "channels": "residual", "reference": "capture"}, "take reference self"),
         ({"sensor_capture": True}, "name one"),
-        ({"sensor": {"f_number": 0.0}}, "sensor.f_number: Input should be greater than 0"),
+        ({"sensor": {"f_number": 0.0}}, "sensor.f_number must be greater than 0"),
     ):
         with pytest.raises(PresetError, match=words):
             settings_from_dict(changes, "options")

@@ -11,6 +11,7 @@ from scenegen import (
     DatasetError,
     PresetError,
     open_dataset,
+    preset_from_dict,
     read_record,
     scene_from_json,
     scene_id,
@@ -48,7 +49,7 @@ DAMAGES = [
     [
         *DAMAGES,
         (without("camera"), "key camera is missing"),
-        (changed(max_bounces=0), r"max_bounces: .* \(got 0\)"),
+        (changed(max_bounces=0), r"max_bounces must be .* \(got 0\)"),
         (changed(split="holiday"), "split"),
     ],
 )
@@ -75,7 +76,7 @@ def test_a_scene_json_that_is_no_text_is_a_dataset_error(copy):
         (DAMAGES[1][0], "schema version None"),
         (DAMAGES[2][0], "unknown key lens"),
         (without("preset"), "key preset is missing"),
-        (changed(seed=-1), r"seed: .* \(got -1\)"),
+        (changed(seed=-1), r"seed must be .* \(got -1\)"),
     ],
 )
 def test_a_damaged_dataset_json_is_a_dataset_error_that_names_file_and_key(copy, damage, words):
@@ -84,6 +85,32 @@ def test_a_damaged_dataset_json_is_a_dataset_error_that_names_file_and_key(copy,
     with pytest.raises(DatasetError, match=words) as caught:
         open_dataset(copy.root)
     assert str(file) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "sentence"),
+    [
+        ("dataset", "count", "five", "dataset.count must be a whole number (got 'five')"),
+        ("dataset", "count", 2.5, "dataset.count must be a whole number (got 2.5)"),
+        ("dataset", "count", 0, "dataset.count must be greater than or equal to 1 (got 0)"),
+        ("camera", "location_m", "here", "camera.location_m must be a list of values in [ ] (got 'here')"),
+        ("camera", "location_m", [1, 2], "camera.location_m has too few values: only 2"),
+        ("camera", "location_m", [1, 2, 3, 4], "camera.location_m has 4 values instead of at most 3"),
+        ("camera", "location_m", [1, 2, "3"], "camera.location_m.2 must be a number (got '3')"),
+        ("relay_wall", "roughness", [], "relay_wall.roughness has 0 values instead of at least 1"),
+        ("relay_wall", "material", "wood", "relay_wall.material must be 'rough' or 'diffuse' (got 'wood')"),
+        (
+            "hidden_object",
+            "location_m",
+            3,
+            "hidden_object.location_m must be a table of keys and values (got 3)",
+        ),
+    ],
+)
+def test_what_a_value_must_be_is_said_without_types_of_python(section, key, value, sentence):
+    with pytest.raises(PresetError) as refused:
+        preset_from_dict({section: {key: value}}, "mine.toml")
+    assert str(refused.value) == f"mine.toml: {sentence}"
 
 
 def test_a_damaged_render_record_is_no_record(tmp_path):
