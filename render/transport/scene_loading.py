@@ -26,7 +26,10 @@ from scenegen.wall_image import WALL_IMAGE
 if TYPE_CHECKING:
     import mitsuba as mi
 
-_KEPT_MESHES = 8  # at least the walls, which are the same in all scenes
+_KEPT_MESHES, _LARGEST_KEPT = (
+    8,
+    2**20,
+)  # number and bytes; at least the walls, which are the same in all scenes
 
 _kept: dict[tuple[str | None, str], mi.BSDF] = {}
 _PFM = re.compile(rb"Pf\n([0-9]{1,5}) ([0-9]{1,5})\n-1\.0\n", re.ASCII)
@@ -99,7 +102,7 @@ def _has_image(part: Any) -> bool:
 
 
 def _bsdf(part: dict[str, Any], files: Mapping[str, bytes], folder: Path) -> mi.BSDF:
-    """A BSDF; the last ``roughplastic`` is kept, because Mitsuba takes 75 ms to make one."""
+    """A BSDF; the last ``roughplastic`` is kept, because Mitsuba takes 70 ms to make one."""
     import mitsuba as mi
 
     if _has_image(part):
@@ -122,7 +125,9 @@ def _with_rough_wall(part: dict[str, Any], plugin: str) -> dict[str, Any]:
 
 
 def _triangles(contents: bytes, origin: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """`scene_triangles` of one of the last meshes, or of a new one."""
+    """`scene_triangles`, kept for small meshes."""
+    if len(contents) > _LARGEST_KEPT:
+        return scene_triangles(contents, origin)
     try:
         return _kept_triangles(contents)
     except MeshError:
