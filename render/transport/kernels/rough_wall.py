@@ -131,5 +131,6 @@ def _tables(variant: str, alpha: float) -> tuple[np.ndarray, float]:
     fresnel, cosine, _, inverse = mi.fresnel(dr.dot(incident, facet), mi.Float(_INDEX))
     refracted = mi.refract(incident, facet, cosine, inverse)
     passed = dr.select(refracted.z < 0, distribution.smith_g1(refracted, facet) * (1 - fresnel), 0)
-    transmittance = np.array(passed).reshape(_COSINES, -1) @ weights
+    # not a matrix product, which numbers of threads round differently
+    transmittance = (np.array(passed).reshape(_COSINES, -1) * weights).sum(axis=1)
     return transmittance, float(2 * (inside * cosines).mean())
