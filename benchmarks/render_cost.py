@@ -30,9 +30,9 @@ from render.rendering import Renderer
 from render.settings import RenderSettings
 from render.transport.kernels.rough_wall import register_rough_wall
 from render.transport.many_light import ManyLight
-from render.transport.method import ROUGH_WALL
 from render.transport.scene_loading import load_scene
 from scenegen import Dataset
+from scenegen.mitsuba_description import ROUGH_WALL
 
 SIZES = tuple((4 * n, 3 * n) for n in (10, 20, 40, 80, 160, 320))
 ERRORS = (0.02, 0.01, 0.005, 0.002, 0.001)

@@ -19,6 +19,8 @@ from scenegen.scene import Camera, Emitter, RelayWall, Scene
 from scenegen.wall_image import WALL_IMAGE, pfm
 
 Description = Mapping[str, Any]
+ROUGH_WALL = "roughplastic"  # Mitsuba's plugin for the material of a rough relay wall
+ROUGH_WALL_INDEX = 1.49 / 1.000277  # its refractive index: polypropylene in air
 EMITTER_IMAGE = "emitter.pfm"  # Mitsuba takes the projector's aspect ratio from this image
 # The projector's field of view is wider than the camera's by this angle. With equal angles, rounding loses
 # about one path in a thousand at the image border, and that is half of the hidden signal there.
@@ -132,7 +134,7 @@ def _relay_wall(wall: RelayWall) -> Description:
         reflectance = {**_image(WALL_IMAGE, "bilinear"), "accel": False}
     if wall.roughness is None:
         return {"type": "diffuse", "reflectance": reflectance}
-    return {"type": "roughplastic", "alpha": wall.roughness, "diffuse_reflectance": reflectance}
+    return {"type": ROUGH_WALL, "alpha": wall.roughness, "diffuse_reflectance": reflectance}
 
 
 def _diffuse(reflectance: float) -> Description:

@@ -18,9 +18,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scenegen.mitsuba_description import ROUGH_WALL_INDEX as _INDEX
+
 ROUGHNESS: Final = (0.05, 1.0)  # smallest and largest that the tables have
 _STEP = 0.05  # of the roughness in the tables
-_INDEX = 1.49 / 1.000277  # polypropylene in air
 _COSINES = 63  # intervals of the tables, as in Mitsuba
 _FACETS = (48, 24)  # of the quadrature: inclination and azimuth
 

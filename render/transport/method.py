@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 
-ROUGH_WALL = "roughplastic"  # Mitsuba's plugin for the material of a rough relay wall
-
-
 @dataclass(frozen=True)
 class View:
     """One measurement of a scene.
@@ -83,7 +80,7 @@ class Method(Protocol):
 
     @property
     def rough_wall(self) -> str:
-        """Plugin for the material of a rough relay wall: `ROUGH_WALL`, or one that is equal to it."""
+        """Plugin for the material of a rough relay wall: ``roughplastic``, or one that is equal to it."""
 
     def expose(self, scene: mi.Scene, view: View) -> Exposure:
         """Prepare the measurement of a scene."""

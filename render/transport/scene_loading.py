@@ -6,7 +6,6 @@ readers read the meshes and the projector's image.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from functools import lru_cache
@@ -16,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from render.transport.method import ROUGH_WALL
 from scenegen import Dataset, NightError
-from scenegen.mitsuba_description import Description, mirrored_description, seen_description
+from scenegen.mitsuba_description import ROUGH_WALL, Description, mirrored_description, seen_description
 from scenegen.scene_folder import read_scene_folder, scene_of
 from scenegen.triangles import MeshError, scene_texture_coordinates, scene_triangles
 from scenegen.wall_image import WALL_IMAGE
@@ -31,7 +29,6 @@ _KEPT_MESHES, _LARGEST_KEPT = (
     2**20,
 )  # number and bytes; at least the walls, which are the same in all scenes
 
-_kept: dict[tuple[str | None, str], mi.BSDF] = {}
 _PFM = re.compile(rb"Pf\n([0-9]{1,5}) ([0-9]{1,5})\n-1\.0\n", re.ASCII)
 
 
@@ -72,7 +69,7 @@ def scene_from_data(
 
     try:
         bsdfs = {
-            f"{name}": _bsdf(_with_rough_wall(part, rough_wall), files, folder)
+            f"{name}": mi.load_dict(_loadable(_with_rough_wall(part, rough_wall), files, folder))
             for name, part in description.items()
             if isinstance(part, dict) and part["type"] == "twosided"
         }
@@ -99,21 +96,6 @@ def _has_image(part: Any) -> bool:
     return isinstance(part, dict) and (
         part["type"] == "bitmap" or any(_has_image(inner) for inner in part.values())
     )
-
-
-def _bsdf(part: dict[str, Any], files: Mapping[str, bytes], folder: Path) -> mi.BSDF:
-    """A BSDF; the last ``roughplastic`` is kept, because Mitsuba takes 70 ms to make one."""
-    import mitsuba as mi
-
-    if _has_image(part):
-        return mi.load_dict(_loadable(part, files, folder))
-    if not any(isinstance(inner, dict) and inner["type"] == ROUGH_WALL for inner in part.values()):
-        return mi.load_dict(part)
-    key = (mi.variant(), json.dumps(part, sort_keys=True))
-    if key not in _kept:
-        _kept.clear()  # first, because DrJit numbers all BSDFs that exist
-        _kept[key] = mi.load_dict(part)
-    return _kept[key]
 
 
 def _with_rough_wall(part: dict[str, Any], plugin: str) -> dict[str, Any]:
