@@ -118,7 +118,8 @@ def register_rough_wall(variant: str) -> str:
 def _tables(variant: str, alpha: float) -> tuple[np.ndarray, float]:
     """What passes the facets from outside, (C,) by cosine, and what they send back of the base's light.
 
-    Mitsuba adds up the first in float32. Its light differs by 1e-6 from ours, up to 0.1 % of the hidden signal.
+    Mitsuba adds up the first in float32. Its light therefore differs by 1e-6, up to 0.1 % of the hidden
+    signal.
     """
     import drjit as dr
     import mitsuba as mi
