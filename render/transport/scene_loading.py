@@ -65,11 +65,9 @@ def scene_from_data(
     ------
     SceneLoadingError, MeshError : a file is missing or damaged, or Mitsuba cannot use the scene.
     """
-    import mitsuba as mi
-
     try:
         bsdfs = {
-            f"{name}": mi.load_dict(_loadable(_with_rough_wall(part, rough_wall), files, folder))
+            f"{name}": _loaded(_loadable(_with_rough_wall(part, rough_wall), files, folder))
             for name, part in description.items()
             if isinstance(part, dict) and part["type"] == "twosided"
         }
@@ -85,10 +83,17 @@ def scene_from_data(
                 parts[name] = _mesh(name, *_triangles(contents, origin), bsdfs[material], texture)
             else:
                 parts[name] = _loadable(part, files, folder)
-        # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
-        return mi.load_dict(parts, optimize=False)
+        return _loaded(parts)
     except RuntimeError as error:
         raise SceneLoadingError(f"Mitsuba cannot load {folder}: {' '.join(str(error).split())}") from None
+
+
+def _loaded(parts: Any) -> Any:
+    """What a description stands for, loaded on this thread, so that its kernels are always the same."""
+    import mitsuba as mi
+
+    # With optimize=True, meshes of one material are merged and lose the ids by which rays know them.
+    return mi.load_dict(parts, parallel=False, optimize=False)
 
 
 def _has_image(part: Any) -> bool:
