@@ -12,7 +12,6 @@ import torch
 
 from model.data.shards import Shards, open_shards
 from model.network.dead_units import dead_units
-from model.network.unet import LEVELS
 from model.run_folder.run_config import read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import load_weights
@@ -29,13 +28,25 @@ def main() -> None:
     given = parser.parse_args()
     shards = open_shards(open_dataset(given.judge))
     rows = shards.rows("test")[: given.scenes]
-    parts = [f"encoder {level}" for level in range(LEVELS)] + [f"decoder {n}" for n in range(LEVELS - 1)]
-    print(f"| dead units of {len(rows)} scenes | {' | '.join(parts)} | all |\n{'|---' * (len(parts) + 2)}|")
-    for run in given.runs:
-        dead = dead_of(run, shards, rows)
-        levels = [torch.cat([dead[f"{part.replace(' ', '.')}.{n}"] for n in (0, 2)]) for part in parts]
-        counts = [f"{int(each.sum())} of {len(each)}" for each in (*levels, torch.cat(levels))]
-        print(f"| {Path(run).name} | {' | '.join(counts)} |", flush=True)
+    every = [dead_of(run, shards, rows) for run in given.runs]
+    parts = sorted({layer.rpartition(".")[0] for dead in every for layer in dead}, key=_place)
+    names = (part.replace(".", " ") for part in parts)
+    print(f"| dead units of {len(rows)} scenes | {' | '.join(names)} | all |\n{'|---' * (len(parts) + 2)}|")
+    for run, dead in zip(given.runs, every, strict=True):
+        groups = [[dead[layer] for layer in dead if layer.startswith(f"{part}.")] for part in parts]
+        counts = [_count(group) for group in (*groups, list(dead.values()))]
+        print(f"| {Path(run).name} | {' | '.join(counts)} |")
+
+
+def _place(part: str) -> tuple[bool, int]:
+    """Sort key of a part, as encoder.3: the encoder comes first."""
+    name, _, number = part.partition(".")
+    return name != "encoder", int(number)
+
+
+def _count(dead: list[torch.Tensor]) -> str:
+    """Dead units of some layers; a network with fewer levels has none of them."""
+    return f"{sum(int(each.sum()) for each in dead)} of {sum(map(len, dead))}" if dead else "-"
 
 
 def dead_of(run: str, shards: Shards, rows: list[int]) -> dict[str, torch.Tensor]:

@@ -40,6 +40,8 @@ NETWORK_SETTINGS = (
     "amplitude_divisor",
     "frequencies_hz",
     "width",
+    "levels",
+    "negative_slope",
     "block",
     "target",
     "uncertainty",
@@ -71,7 +73,12 @@ class TrainSettings:
     amplitude_divisor: AmplitudeDivisor = "mean"
     """The amplitude channel is divided by this amplitude of the training scenes; the paper: to [0, 1]."""
     width: Annotated[int, Field(ge=1, le=1_000_000)] = 32
-    """Channels of the U-Net's first level."""
+    """Channels of the U-Net's first level; each level has twice as many as the one before."""
+    levels: Annotated[int, Field(ge=1, le=8)] = 5
+    """Levels of the U-Net's encoder; the paper: 5."""
+    negative_slope: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Slope of the ReLUs below 0. With 0, as in the paper, a long training leaves dead units
+    (docs/accuracy.md)."""
     block: Annotated[int, Field(ge=1, le=64)] = 1
     """Pixels per side of a position of the U-Net: 2 halves the time of a training; the paper: 1."""
     target: Target = "components"

@@ -161,6 +161,7 @@ def test_the_id_of_a_run_depends_on_what_decides_its_weights(finished_run):
         ({"max_epochs": 3, "checkpoint_minutes": 0.5, "device": "auto"}, True),
         ({"max_epochs": 3, "schedule": "cosine"}, False),
         ({"width": 3}, False),
+        ({"levels": 4}, False),
         ({"seed": 1}, False),
     ):
         changed = replace(config, settings=replace(config.settings, **change))

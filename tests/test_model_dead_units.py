@@ -103,6 +103,21 @@ def test_frozen_layers_are_not_revived(closed_form_scenes, finished_run, tmp_pat
         train(closed_form_scenes, tmp_path / "run", frozen, start_from=finished_run)
 
 
+def test_units_with_a_slope_below_0_are_not_dead_and_not_revived(closed_form_scenes, finished_run, tmp_path):
+    leaky = UNet(2, 4, negative_slope=0.1, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        leaky.encoder[1][2].bias.fill_(-1e3)
+    leaky(IMAGES).square().sum().backward()
+    assert bool((leaky.encoder[1][2].bias.grad != 0).all())
+    with pytest.raises(TrainingError, match="a network with negative_slope has none"):
+        train(
+            closed_form_scenes,
+            tmp_path / "run",
+            settings(revive=True, negative_slope=0.1),
+            start_from=finished_run,
+        )
+
+
 def test_a_new_run_has_nothing_to_revive(closed_form_scenes, tmp_path):
     with pytest.raises(TrainingError, match=r"revive renews units of a trained run.*--from"):
         train(closed_form_scenes, tmp_path / "run", settings(revive=True))

@@ -76,9 +76,25 @@ def test_the_heads_leave_out_padding_that_changes_no_pixel(block, seen):
     torch.testing.assert_close(output, whole, rtol=0, atol=1e-12)
 
 
-def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive():
-    first, second = (UNet(12, 8, generator=seeded(3)) for _ in range(2))
-    other = UNet(12, 8, generator=seeded(4))
+@pytest.mark.parametrize(("levels", "multiple"), [(1, 1), (3, 4), (4, 8)])
+def test_a_network_with_fewer_levels_lacks_the_deepest_and_pads_to_smaller_multiples(levels, multiple):
+    network, deeper = (UNet(2, 4, levels=each, generator=seeded()).double() for each in (levels, levels + 1))
+    deepest = (deeper.encoder[-1], deeper.upsampling[0], deeper.decoder[0])
+    missing = sum(weight.numel() for part in deepest for weight in part.parameters())
+    assert network.parameter_count == deeper.parameter_count - missing
+    image = torch.randn(1, 2, 30, 41, generator=seeded()).double()
+    down, across = -30 % multiple, -41 % multiple
+    sides = (across // 2, across - across // 2, down // 2, down - down // 2)
+    whole = network(torch.nn.functional.pad(image, sides, mode="replicate"))
+    assert whole.shape == (1, 2, 30 + down, 41 + across)
+    by_hand = whole[..., sides[2] :, sides[0] :][..., :30, :41]
+    torch.testing.assert_close(network(image), by_hand, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("slope", [0, 0.1])
+def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive(slope):
+    first, second = (UNet(12, 8, negative_slope=slope, generator=seeded(3)) for _ in range(2))
+    other = UNet(12, 8, negative_slope=slope, generator=seeded(4))
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
     image = torch.randn(4, 12, 30, 40, generator=seeded())
     output = first(image).detach()
@@ -89,7 +105,7 @@ def test_weights_come_from_the_generator_alone_and_keep_the_signal_alive():
 
 
 def test_impossible_networks_are_refused():
-    for wrong in ({"input_channels": 0}, {"width": 0}, {"block": 0}):
+    for wrong in ({"input_channels": 0}, {"width": 0}, {"levels": 0}, {"block": 0}):
         with pytest.raises(ValueError, match="at least one channel"):
             UNet(**{"input_channels": 3} | wrong)
 

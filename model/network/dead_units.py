@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from model.network.unet import LEVELS, UNet
+from model.network.unet import UNet
 
 _AT_ONCE = 16  # images
 _PASSES = 8  # a pass leaves about half of the dead units dead
@@ -112,15 +112,15 @@ def _layers(network: UNet) -> Iterator[_Layer]:
     """The convolutions of encoder and decoder, and the first one of each head."""
     parts: dict[str, Any] = dict(network.named_modules())
     before: str | int = parts["encoder.0.0"].in_channels
-    for level in range(LEVELS):
+    for level in range(network.levels):
         one, two = f"encoder.{level}.0", f"encoder.{level}.2"
         yield _Layer(one, parts[one], (before,))
         yield _Layer(two, parts[two], (one,))
         before = two
-    for place in range(LEVELS - 1):
+    for place in range(network.levels - 1):
         up, one, two = f"upsampling.{place}", f"decoder.{place}.0", f"decoder.{place}.2"
         yield _Layer(up, parts[up], (before,), is_rectified=False)
-        skip = f"encoder.{LEVELS - 2 - place}.2"
+        skip = f"encoder.{network.levels - 2 - place}.2"
         yield _Layer(one, parts[one], (skip, parts[up].out_channels))
         yield _Layer(two, parts[two], (one,))
         before = two

@@ -12,7 +12,7 @@ from torch.nn import functional
 from model.network.bounce_images import PLANES, BounceImages
 from model.settings import Freeze
 
-LEVELS = 5  # of the encoder; four poolings, so image sizes are padded to multiples of 16 blocks
+LEVELS = 5  # of the encoder of the paper's network, with four poolings between them
 HEAD_CHANNELS = (16, 8, 4)  # then the output
 UNCERTAINTY_CHANNELS = (16, 8)  # then the logarithm of the depth's error
 
@@ -21,7 +21,8 @@ class UNet(nn.Module):
     """U-Net of the paper, with the sizes of the released code: any number of input channels, any image size.
 
     *Layers.* Encoder: levels of width w, 2w, 4w, 8w and 16w (w = 32 in the released code), each with two 3x3
-    convolutions and ReLU, and a 2x2 max pooling between levels. Decoder: on each level a 2x2 transposed
+    convolutions and ReLU, and a 2x2 max pooling between levels; with fewer `levels`, the last ones are
+    missing. Decoder: on each level a 2x2 transposed
     convolution, concatenation with the encoder's output of that level (skip connection), two 3x3 convolutions
     with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions to 8, 4 and 2 channels, with
     ReLU between them. There is no ReLU after the last one, because Re and Im have both signs. A network that
@@ -32,6 +33,9 @@ class UNet(nn.Module):
     convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/accuracy.md), and the
     U-Net has a quarter of the multiplications with 2. The paper's network has 1.
 
+    *Rectifiers.* A ReLU that is 0 in every pixel of every image gets no gradient any more: such units are
+    dead. With a `negative_slope`, the ReLUs are leaky and no unit dies.
+
     *Uncertainty.* With `uncertainty`, a second head like the first one, with 16 and 8 channels, adds one
     output: the logarithm of the expected error of the depth. It sees the decoder's last features and gives
     them no gradient, so everything else is trained as without it.
@@ -39,10 +43,10 @@ class UNet(nn.Module):
     *Images.* With `images`, there are more input channels: images that a linear inverse of the three bounces
     makes from the others (`model.network.bounce_images`).
 
-    *Padding.* An image size that is not a multiple of 16 blocks is padded to the next multiple and the output
-    is cropped. The padding is divided as evenly as possible between the two sides, so that a flip of the
-    image is a flip of the padded image. It repeats the edge, because zeros would add an edge to a smooth
-    field.
+    *Padding.* An image size that is not a multiple of 16 blocks (8 with four levels) is padded to the next
+    multiple and the output is cropped. The padding is divided as evenly as possible between the two sides, so
+    that a flip of the image is a flip of the padded image. It repeats the edge, because zeros would add an
+    edge to a smooth field.
 
     *Initial weights.* Normal distribution by He et al., biases zero. There are no normalisation layers: with
     PyTorch's default the scale falls by a factor of about 2.4 in each of 22 layers, and the initial output
@@ -56,6 +60,8 @@ class UNet(nn.Module):
     ----------
     input_channels : C, at least 1.
     width : channels of the first level, at least 1; 32 gives 7,763,270 parameters with 7 input channels.
+    levels : of the encoder, at least 1.
+    negative_slope : of the ReLUs below 0, at least 0 and below 1.
     output_channels : 2 for Re and Im, 1 for depth.
     block : pixels per side of a position of the U-Net, at least 1.
     uncertainty : whether there is the second head.
@@ -64,7 +70,7 @@ class UNet(nn.Module):
 
     Raises
     ------
-    ValueError : `input_channels`, `width` or `block` is below 1.
+    ValueError : `input_channels`, `width`, `levels` or `block` is below 1.
 
     Source: Caligiuri et al. 2024, sec. 4.2 (a network similar to a U-Net, then convolutions); their released
     code (sizes); He et al., "Delving deep into rectifiers", ICCV 2015; Shi et al., "Real-time single
@@ -77,6 +83,8 @@ class UNet(nn.Module):
         input_channels: int,
         width: int = 32,
         *,
+        levels: int = LEVELS,
+        negative_slope: float = 0.0,
         output_channels: int = 2,
         block: int = 1,
         uncertainty: bool = False,
@@ -84,15 +92,15 @@ class UNet(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        if min(input_channels, width, block) < 1:
+        if min(input_channels, width, levels, block) < 1:
             raise ValueError(
-                f"a U-Net needs at least one channel, got {input_channels} in, a width of {width} and blocks "
-                f"of {block} pixels"
+                f"a U-Net needs at least one channel and one level, got {input_channels} channels in, a "
+                f"width of {width}, {levels} levels and blocks of {block} pixels"
             )
-        self.block, self.images = block, images
-        widths = [width * 2**level for level in range(LEVELS)]
+        self.levels, self.negative_slope, self.block, self.images = levels, negative_slope, block, images
+        widths = [width * 2**level for level in range(levels)]
         self.encoder = nn.ModuleList(
-            _two_convolutions(before, after)
+            self._two_convolutions(before, after)
             for before, after in pairwise([(input_channels + (PLANES if images else 0)) * block**2, *widths])
         )
         deepest_first = widths[::-1]
@@ -100,16 +108,19 @@ class UNet(nn.Module):
             nn.ConvTranspose2d(deep, shallow, kernel_size=2, stride=2)
             for deep, shallow in pairwise(deepest_first)
         )
-        self.decoder = nn.ModuleList(_two_convolutions(2 * shallow, shallow) for shallow in deepest_first[1:])
-        self.head = _head(width, block, (*HEAD_CHANNELS, output_channels))
+        self.decoder = nn.ModuleList(
+            self._two_convolutions(2 * shallow, shallow) for shallow in deepest_first[1:]
+        )
+        self.head = self._head(width, (*HEAD_CHANNELS, output_channels))
         # After all else, so that the other initial weights are those of a network without it.
-        self.uncertainty_head = _head(width, block, (*UNCERTAINTY_CHANNELS, 1)) if uncertainty else None
+        self.uncertainty_head = self._head(width, (*UNCERTAINTY_CHANNELS, 1)) if uncertainty else None
         self._initialise(generator)
 
     def forward(self, channels: Tensor) -> Tensor:
         """(N, C', H, W) output channels from (N, C, H, W) input channels, that of the uncertainty last."""
         height, width = channels.shape[-2:]
-        left, right, top, bottom = (*_padding(width, self.block), *_padding(height, self.block))
+        multiple = self.block * 2 ** (self.levels - 1)
+        left, right, top, bottom = (*_padding(width, multiple), *_padding(height, multiple))
         x = channels if self.images is None else torch.cat([channels, self.images(channels)], dim=1)
         x = functional.pad(x, (left, right, top, bottom), mode="replicate")
         x = functional.pixel_unshuffle(x, self.block) if self.block > 1 else x
@@ -174,6 +185,26 @@ class UNet(nn.Module):
         """Number of weights and biases."""
         return sum(parameter.numel() for parameter in self.parameters())
 
+    def _two_convolutions(self, before: int, after: int) -> nn.Sequential:
+        return nn.Sequential(
+            nn.Conv2d(before, after, kernel_size=3, padding=1),
+            self._rectifier(),
+            nn.Conv2d(after, after, kernel_size=3, padding=1),
+            self._rectifier(),
+        )
+
+    def _head(self, width: int, channels: tuple[int, ...]) -> nn.Sequential:
+        """A 1x1 convolution to the first of `channels`, then, in pixels, 3x3 ones to the others."""
+        layers: list[nn.Module] = [nn.Conv2d(width, channels[0] * self.block**2, kernel_size=1)]
+        if self.block > 1:
+            layers.append(nn.PixelShuffle(self.block))
+        for before, after in pairwise(channels):
+            layers += [self._rectifier(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
+        return nn.Sequential(*layers)
+
+    def _rectifier(self) -> nn.Module:
+        return nn.LeakyReLU(self.negative_slope) if self.negative_slope else nn.ReLU()
+
     def _initialise(self, generator: torch.Generator | None) -> None:
         last = [head[-1] for head in (self.head, self.uncertainty_head) if head is not None]
         for module in self.modules():
@@ -183,7 +214,8 @@ class UNet(nn.Module):
                     1 if isinstance(module, nn.ConvTranspose2d) else module.kernel_size[0] ** 2
                 )
                 is_linear = isinstance(module, nn.ConvTranspose2d) or module in last
-                gain = 1.0 if is_linear else 2.0  # ReLU halves the power (He et al., eq. 10)
+                # A ReLU halves the power (He et al., eq. 10); a leaky one leaves more (their eq. 15).
+                gain = 1.0 if is_linear else 2 / (1 + self.negative_slope**2)
                 nn.init.normal_(module.weight, std=(gain / fan_in) ** 0.5, generator=generator)
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
@@ -200,27 +232,8 @@ def _blocks_seen(before: int, size: int, block: int) -> slice:
     return slice(max(0, (before - reach) // block), -(-(before + size + reach) // block))
 
 
-def _head(width: int, block: int, channels: tuple[int, ...]) -> nn.Sequential:
-    """A 1x1 convolution to the first of `channels`, in pixels again, then 3x3 convolutions to the others."""
-    layers: list[nn.Module] = [nn.Conv2d(width, channels[0] * block**2, kernel_size=1)]
-    if block > 1:
-        layers.append(nn.PixelShuffle(block))
-    for before, after in pairwise(channels):
-        layers += [nn.ReLU(), nn.Conv2d(before, after, kernel_size=3, padding=1)]
-    return nn.Sequential(*layers)
-
-
-def _two_convolutions(before: int, after: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(before, after, kernel_size=3, padding=1),
-        nn.ReLU(),
-        nn.Conv2d(after, after, kernel_size=3, padding=1),
-        nn.ReLU(),
-    )
-
-
-def _padding(size: int, block: int) -> tuple[int, int]:
-    """Pixels to add before and after an axis of `size` pixels, so that every pooling divides it evenly."""
-    missing = -size % (block * 2 ** (LEVELS - 1))
+def _padding(size: int, multiple: int) -> tuple[int, int]:
+    """Pixels to add before and after an axis of `size` pixels, so that it becomes a multiple."""
+    missing = -size % multiple
     before = missing // 2
     return before, missing - before

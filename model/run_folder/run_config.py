@@ -52,6 +52,8 @@ _LATER: Final = (
     "bounce_images",
     "optimiser",
     "revive",
+    "levels",
+    "negative_slope",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
@@ -171,6 +173,8 @@ class RunConfig:
         return UNet(
             self.inputs.channel_count,
             self.settings.width,
+            levels=self.settings.levels,
+            negative_slope=self.settings.negative_slope,
             output_channels=self.readout.output_channels,
             block=self.settings.block,
             uncertainty=self.settings.uncertainty,

@@ -55,6 +55,10 @@ def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> Non
             "revive renews units of a trained run, but this training begins with random weights: give a run "
             "with --from, or leave revive out"
         )
+    if settings.revive and settings.negative_slope:
+        raise TrainingError(
+            "revive renews dead units, and a network with negative_slope has none: leave it out"
+        )
     if settings.revive and settings.freeze != "none":
         raise TrainingError(
             f"revive renews units also in layers that freeze {settings.freeze} keeps: leave one of them out"
