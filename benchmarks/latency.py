@@ -83,7 +83,7 @@ def predictors(given: argparse.Namespace, device: str) -> list[tuple[str, Predic
 
 def untrained(preset: str, width: int, height: int, device: str) -> Predictor:
     """The network of a training preset with initial weights, for images of one size."""
-    settings = model.settings_from_dict(*model.training_preset(preset))
+    settings = model.settings_from_dict(*model.training_preset(preset)).for_images(width)
     frequencies_hz = settings.frequencies_hz or FREQUENCIES_HZ
     residuals = 2 * len(frequencies_hz) - 1 if "residual" in settings.channels else 0
     scales = (1e-3,) * residuals

@@ -159,8 +159,8 @@ def dense_map(shards: Shards) -> Callable[..., UNet]:
 
 
 OTHERS = {
-    "none": Other("preset `default` without images of the three bounces"),
-    "images": Other("preset `default`", bounce_images=True),
+    "none": Other("preset `five-levels` without images of the three bounces"),
+    "images": Other("preset `five-levels`", bounce_images=True),
     "residual": Other("residual blocks", lambda _: ResidualUNet),
     "dense-map": Other("a dense learned map at 12 x 8 positions", dense_map),
     "fewer-pixels": Other("means of 2 x 2 pixels in, every pixel out", lambda _: FewerPixelsUNet),
@@ -182,13 +182,12 @@ def main() -> None:
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     changes = {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
-    changes["optimiser"] = "adam"  # Muon is for the layers of our own U-Net
     dataset = open_dataset(given.dataset)
     for name in given.only:
         found = []
         for seed in range(given.seeds):
             of_row = changes | {"seed": seed, "bounce_images": OTHERS[name].bounce_images}
-            settings = settings_from_dict(training_preset("default")[0] | of_row, "default")
+            settings = settings_from_dict(training_preset("five-levels")[0] | of_row, "five-levels")
             found.append(result(OTHERS[name], dataset, settings, given.out / f"{name}-{seed}"))
             print(line(OTHERS[name], found), flush=True)
 

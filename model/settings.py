@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from math import log2
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -79,8 +80,9 @@ class TrainSettings:
     negative_slope: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Slope of the ReLUs below 0. With 0, as in the paper, a long training leaves dead units
     (docs/accuracy.md)."""
-    block: Annotated[int, Field(ge=1, le=64)] = 1
-    """Pixels per side of a position of the U-Net: 2 halves the time of a training; the paper: 1."""
+    block: Annotated[int, Field(ge=0, le=64)] = 1
+    """Pixels per side of a position of the U-Net; the paper: 1. 0: the power of two, at most 8, with which an
+    image is about 20 positions wide."""
     target: Target = "components"
     """What the network predicts: Re and Im of the mirrored scene, its depth in metres directly, or the
     probability and the depth of an object pixel. With depth, error and mask are those of the depth, whatever
@@ -194,6 +196,14 @@ class TrainSettings:
     def predicts_probability(self) -> bool:
         """Whether the amplitude of a predicted phasor is the probability of an object pixel."""
         return self.target == "mask+depth"
+
+    def for_images(self, width: int) -> TrainSettings:
+        """These settings with the number for which a block of 0 stands, for images of so many pixels.
+
+        It is 2 for 40 pixels and 4 for 80. It is at most 8, because a position knows the details of its
+        pixels from few features.
+        """
+        return replace(self, block=self.block or 2 ** min(3, max(0, round(log2(width / 20)))))
 
     def __post_init__(self) -> None:
         if self.change_fraction > 0 and self.channel_noise_fraction != 1:

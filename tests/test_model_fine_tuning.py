@@ -197,6 +197,7 @@ def test_the_command_takes_the_network_of_the_start_and_the_training_of_the_pres
     done = night_here("night-train", wider.root, "--out", out, "--resume", "--max-epochs", 1)
     assert done.returncode == 0, done.stderr
     for given, sentence in (
+        (("--block", 0), r"block is 0, but .* was trained with 1"),
         (("--width", 16), r"width is 16, but .* was trained with 8"),
         (("--channels", "paper"), r"channels is paper, but .* was trained with paper\+residual"),
         (("--frequencies", "20"), r"frequencies_hz is \(20000000.0,\), but"),

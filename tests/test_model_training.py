@@ -8,7 +8,7 @@ import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from training_runs import before_each_network, checkpoint, settings
+from training_runs import before_each_network, checkpoint, config_of, edit_config, settings
 
 from model.data.channel_scaling import fit_input_spec
 from model.data.shards import open_shards
@@ -44,6 +44,19 @@ def test_a_training_on_the_first_scenes_sees_no_others(closed_form_scenes, tmp_p
     assert steps == -(-count // some.batch_size)
     with pytest.raises(TrainingError, match=f"train_scenes is 500, but .* has {count + 2} training scenes"):
         train(closed_form_scenes, tmp_path / "more", settings(train_scenes=500))
+
+
+def test_block_0_is_a_number_that_depends_on_the_image(tmp_path):
+    for width, block in ((20, 1), (40, 2), (60, 4), (320, 8), (1, 1)):
+        assert settings(block=0).for_images(width) == settings(block=block)
+    assert settings(block=3).for_images(40) == settings(block=3)
+    dataset = write_synthetic_dataset(tmp_path / "data", count=6, width=40, height=8)
+    run = tmp_path / "run"
+    train(dataset, run, settings(block=0, max_epochs=1))
+    assert load(run, "cpu").config.settings.block == 2
+    edit_config(run, settings=config_of(run)["settings"] | {"block": 0})
+    with pytest.raises(RunError, match="a run has that number"):
+        load(run, "cpu")
 
 
 def test_training_stops_when_patience_runs_out(closed_form_scenes, tmp_path):

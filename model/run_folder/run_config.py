@@ -106,7 +106,8 @@ class RunConfig:
 
     Raises
     ------
-    ValueError : `background_per_object` or `object_depth_m` is missing although the settings need it.
+    ValueError : `background_per_object` or `object_depth_m` is missing although the settings need it, or
+        `settings.block` is 0.
     """
 
     settings: TrainSettings
@@ -134,6 +135,8 @@ class RunConfig:
             raise ValueError("the balance dataset needs background_per_object")
         if self.settings.predicts_probability and self.object_depth_m is None:
             raise ValueError("the target mask+depth needs object_depth_m")
+        if self.settings.block == 0:
+            raise ValueError("block 0 stands for a number that depends on the image; a run has that number")
 
     @property
     def trained_views_deg(self) -> tuple[float, float]:

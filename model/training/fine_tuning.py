@@ -17,6 +17,7 @@ from model.run_folder.shipped import run_folder
 from model.run_folder.weights import WEIGHTS_FILE, load_weights
 from model.settings import NETWORK_SETTINGS, TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
+from model.training.finer_pixels import with_finer_pixels
 from scenegen import Dataset
 
 
@@ -27,7 +28,7 @@ class Start:
     Attributes
     ----------
     config : contents of its ``run.json``.
-    weights : its best weights, on the CPU, without the images of its corner.
+    weights : its best weights, on the CPU, without the images of its corner, for the block of the settings.
     origin : what the new run records about it.
     """
 
@@ -76,6 +77,8 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
         }
         if settings.uncertainty and not config.settings.uncertainty:
             weights |= _new_head(config, settings)
+        block = config.settings.block
+        weights = with_finer_pixels(weights, block, settings.block // block)
     name = run.resolve().name[:255]
     origin = StartingWeights(run=name, run_id=config.run_id, sha256=hashlib.sha256(content).hexdigest())
     return Start(config, weights, origin)
@@ -97,6 +100,8 @@ def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path)
             ours = theirs if ours is None else ours
         if name == "uncertainty" and ours:
             continue  # its head may be new: it changes nothing else
+        if name == "block" and ours % theirs == 0 and ours:
+            continue  # for images with more pixels
         if ours != theirs:
             raise RunError(
                 f"{name} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "

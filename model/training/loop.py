@@ -144,6 +144,7 @@ def _train(
     with processes.first_one_first():
         shown = settings.progress and processes.is_first
         shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
+    settings = settings.for_images(shards.manifest.width)
     refuse_missing_scenes(shards, dataset, settings.train_scenes)
     refuse_other_view(shards, dataset, settings)
     if shown and not before and not start:
