@@ -22,11 +22,11 @@ class UNet(nn.Module):
 
     *Layers.* Encoder: levels of width w, 2w, 4w, 8w and 16w (w = 32 in the released code), each with two 3x3
     convolutions and ReLU, and a 2x2 max pooling between levels; with fewer `levels`, the last ones are
-    missing. Decoder: on each level a 2x2 transposed
-    convolution, concatenation with the encoder's output of that level (skip connection), two 3x3 convolutions
-    with ReLU. Head: a 1x1 convolution to 16 channels, then 3x3 convolutions to 8, 4 and 2 channels, with
-    ReLU between them. There is no ReLU after the last one, because Re and Im have both signs. A network that
-    predicts depth has one output channel instead of two, and no other difference.
+    missing. Decoder: on each level a 2x2 transposed convolution, concatenation with the encoder's output of
+    that level (skip connection), two 3x3 convolutions with ReLU. Head: a 1x1 convolution to 16 channels, then
+    3x3 convolutions to 8, 4 and 2 channels, with ReLU between them. There is no ReLU after the last one,
+    because Re and Im have both signs. A network that predicts depth has one output channel instead of two,
+    and no other difference.
 
     *Blocks.* With `block` > 1, each block of that many pixels squared becomes one position of the U-Net, and
     all its values are channels of it; the U-Net's output becomes pixels again before the head's 3x3
