@@ -100,12 +100,13 @@ def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path)
             ours = theirs if ours is None else ours
         if name == "uncertainty" and ours:
             continue  # its head may be new: it changes nothing else
-        if name == "block" and ours % theirs == 0 and ours:
-            continue  # for images with more pixels
+        if name == "block" and ours and ours % theirs == 0:
+            continue  # `with_finer_pixels` makes the weights fit
         if ours != theirs:
+            multiple = f", give a multiple of {theirs}" if name == "block" else ""
             raise RunError(
                 f"{name} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "
-                "leave the setting out, or train from the start"
+                f"leave the setting out{multiple}, or train from the start"
             )
 
 

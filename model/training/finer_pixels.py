@@ -18,7 +18,8 @@ def with_finer_pixels(weights: Mapping[str, Tensor], block: int, times: int) -> 
 
     Parameters
     ----------
-    weights : of a `UNet` with this `block`, by name, without the images of its corner.
+    weights : of a `UNet`, by name, without the images of its corner.
+    block : pixels per side of a block of this network.
     times : at least 1.
     """
     if times == 1:

@@ -24,11 +24,8 @@ from scenegen.wall_image import WALL_IMAGE
 if TYPE_CHECKING:
     import mitsuba as mi
 
-_KEPT_MESHES, _LARGEST_KEPT = (
-    8,
-    2**20,
-)  # number and bytes; at least the walls, which are the same in all scenes
-
+_KEPT_MESHES = 8  # the walls at least, which are the same in all scenes
+_LARGEST_KEPT = 2**20  # bytes of a mesh file
 _PFM = re.compile(rb"Pf\n([0-9]{1,5}) ([0-9]{1,5})\n-1\.0\n", re.ASCII)
 
 
