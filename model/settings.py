@@ -48,7 +48,10 @@ NETWORK_SETTINGS = (
     "uncertainty",
     "bounce_images",
 )
-READOUT_SETTINGS = ("loss", "mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone")
+READOUT_SETTINGS = (
+    *("loss", "smooth_l1_beta"),
+    *("mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone"),
+)
 STARTING_SETTINGS = (*NETWORK_SETTINGS, *READOUT_SETTINGS, "optimiser")
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -98,6 +101,9 @@ class TrainSettings:
     loss: LossName = "mae+iou"
     """Terms of the loss: error of the output (mae or mse), and overlap of the masks (iou or lovasz). For
     target mask+depth: cross entropy and overlap of the mask, and error of the depth (bce+iou+depth)."""
+    smooth_l1_beta: NotNegative = 1.0
+    """With loss bce+iou+depth: the error of the depth counts squared up to this many standard deviations of
+    the objects' depth (about 20 cm each), and linearly above."""
     loss_on: LossTarget = "components"
     """What the error is taken on: Re and Im of the output, or the depth in metres."""
     alpha: NotNegative = 1 / 7

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from night_commands import night_here
+from torch.nn import functional
 from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
 
 from itof import phasor_of_return
@@ -57,18 +58,39 @@ def test_reading_the_phasor_again_gives_mask_and_depth_again():
     )
 
 
-def test_the_loss_of_a_hand_made_output_and_where_it_has_no_gradient():
+@pytest.mark.parametrize(
+    ("beta", "depth"), [(1.0, (0.5 * 0.5**2 + (2.0 - 0.5)) / 2), (0.1, (0.45 + 1.95) / 2), (0.0, 1.25)]
+)
+def test_the_loss_of_a_hand_made_output_and_where_it_has_no_gradient(beta, depth):
     output = torch.tensor([[[[2.0, -1.0, 0.5]], [[0.5, 3.0, 8.0]]]], requires_grad=True)  # (1, 2, 1, 3)
     mask, truth_m = torch.tensor([[[1.0, 1.0, 0.0]]]), torch.tensor([[[3.0, 3.5, 0.0]]])
-    value = MaskAndDepthLoss(READOUT)(output, torch.zeros(1, 2, 1, 3), truth_m, mask)
+    value = MaskAndDepthLoss(READOUT, beta)(output, torch.zeros(1, 2, 1, 3), truth_m, mask)
     p = 1 / (1 + np.exp(-np.array([2.0, -1.0, 0.5])))
     entropy = -(np.log(p[0]) + np.log(p[1]) + np.log(1 - p[2])) / 3
     overlap = (p[0] + p[1]) / (2 + p[2])  # sum p m over sum p + m - p m
-    depth = (0.5 * 0.5**2 + (2.0 - 0.5)) / 2  # standardised truth: 0 and 1
     assert value.item() == pytest.approx(entropy + 1 - overlap + depth, rel=1e-5)
     value.backward()
     assert output.grad[0, 1, 0, 2] == 0  # depth of the background
     assert (output.grad[0, 0, 0].sign() == torch.tensor([-1.0, -1.0, 1.0])).all()
+
+
+def test_pixels_that_are_certainly_right_have_no_gradient_and_wrong_ones_keep_theirs():
+    logit = torch.linspace(-320, 320, 65)
+    for value, right in ((0.0, logit < -40), (1.0, logit > 40)):
+        output = torch.stack([logit, torch.zeros(65)])[None, :, None].requires_grad_()  # (1, 2, 1, 65)
+        mask = torch.full((1, 1, 65), value)
+        truth_m = READOUT.depth_mean_m * mask
+        loss = MaskAndDepthLoss(READOUT)(output, torch.zeros(1, 2, 1, 65), truth_m, mask)
+        loss.backward()
+        moved = output.grad[0, 0, 0]
+        assert not moved[right].any()
+        wrong = logit * (1 - 2 * value) >= 40
+        torch.testing.assert_close(moved[wrong].abs(), torch.full((int(wrong.sum()),), 1 / 65))
+        assert moved[moved != 0].abs().min() > 1e-30  # far from the smallest normal number, 1.2e-38
+        p = logit.double().sigmoid()
+        overlap = p.mean() if value else 0.0
+        entropy = functional.softplus(logit.double() * (1 - 2 * value)).mean()
+        assert loss.item() == pytest.approx(float(entropy + 1 - overlap), rel=1e-6)
 
 
 def test_images_without_object_and_without_background_have_a_finite_loss():

@@ -54,6 +54,7 @@ _LATER: Final = (
     "revive",
     "levels",
     "negative_slope",
+    "smooth_l1_beta",
 )
 
 Pixels = Annotated[int, Field(ge=1, le=2**16)]

@@ -23,7 +23,7 @@ def loss_of_run(config: RunConfig) -> NightLoss | MaskAndDepthLoss:
     """The loss that the settings of a run choose."""
     readout, settings = config.readout, config.settings
     if isinstance(readout, MaskAndDepth):
-        return MaskAndDepthLoss(readout)
+        return MaskAndDepthLoss(readout, settings.smooth_l1_beta)
     return NightLoss(
         *(readout, settings.loss, settings.loss_on, settings.alpha, settings.balance),
         background_per_object=config.background_per_object,
@@ -87,7 +87,7 @@ class TrainingStep:
         readout = self.loss.readout
         if not (isinstance(readout, MaskAndDepth) and readout.has_uncertainty):
             return output.new_zeros(())
-        rest = MaskAndDepthLoss(replace(readout, has_uncertainty=False))
+        rest = replace(self.loss, readout=replace(readout, has_uncertainty=False))
         without = rest(output, batch.target, batch.radial_depth_m, batch.mask)
         return self.judge(output, batch).double() - without.double()  # so that what is left is `without`
 
