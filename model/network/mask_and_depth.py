@@ -88,13 +88,13 @@ class MaskAndDepthLoss:
     With uncertainty, the mean of |error| / b + log b over the true object's pixels is added, where b is the
     expected error: the likelihood of a Laplace distribution. The error itself gets no gradient from it.
 
-    The soft IoU of the probabilities p and the true mask m is sum(p m) / sum(p + m - p m), and 1 if both are
-    empty. The error e of the standardised depth counts as smooth L1, e^2 / (2 beta) below beta and
-    |e| - beta / 2 above, as a mean over the true object's pixels; 0 without an object.
+    The soft IoU of the probabilities p and the true mask m is sum(p m) / sum(p + m - p m). The error e of the
+    standardised depth counts as smooth L1, e^2 / (2 beta) below beta and |e| - beta / 2 above, as a mean over
+    the true object's pixels; 0 without an object.
 
     A pixel that is right with a logit beyond +-40 gets no gradient from the mask, instead of one below 1e-17.
     Trained networks have logits of -300 on the background; their gradients would be subnormal numbers, which
-    take a processor a hundred times as long.
+    are many times slower on a processor.
     """
 
     readout: MaskAndDepth
@@ -108,8 +108,7 @@ class MaskAndDepthLoss:
         entropy = functional.binary_cross_entropy_with_logits(logit, mask, reduction="none")
         probability = logit.sigmoid()
         both = (probability * mask).sum(dim=(1, 2))  # (N,)
-        either = (probability + mask).sum(dim=(1, 2)) - both
-        overlap = torch.where(either > 0, both / either.clamp_min(1e-12), torch.ones_like(either))
+        overlap = both / ((probability + mask).sum(dim=(1, 2)) - both)  # no probability is 0
         error = self.of_depth(output, self.readout.standardised(radial_depth_m)) * mask
         depth = error.sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1)
         return (entropy.mean(dim=(1, 2)) + 1 - overlap + depth).mean()
