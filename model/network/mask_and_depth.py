@@ -108,7 +108,7 @@ class MaskAndDepthLoss:
         entropy = functional.binary_cross_entropy_with_logits(logit, mask, reduction="none")
         probability = logit.sigmoid()
         both = (probability * mask).sum(dim=(1, 2))  # (N,)
-        overlap = both / ((probability + mask).sum(dim=(1, 2)) - both)  # no probability is 0
+        overlap = both / ((probability + mask).sum(dim=(1, 2)) - both)  # not 0: background has p > 0
         error = self.of_depth(output, self.readout.standardised(radial_depth_m)) * mask
         depth = error.sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1)
         return (entropy.mean(dim=(1, 2)) + 1 - overlap + depth).mean()
