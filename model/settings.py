@@ -82,7 +82,7 @@ class TrainSettings:
     """Levels of the U-Net's encoder; the paper: 5."""
     negative_slope: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Slope of the ReLUs below 0. With 0, as in the paper, a long training leaves dead units
-    (docs/accuracy.md)."""
+    (docs/experiments.md)."""
     block: Annotated[int, Field(ge=0, le=64)] = 1
     """Pixels per side of a position of the U-Net; the paper: 1. 0: the power of two, at most 8, with which an
     image is about 20 positions wide."""
@@ -124,7 +124,7 @@ class TrainSettings:
     """Components of the output below this become 0 before mask and depth are taken."""
     optimiser: Optimiser = "adam"
     """Adam, as in the paper; or Muon for the inner convolutions and Adam for the other weights, which has a
-    smaller error after the same training (docs/accuracy.md)."""
+    smaller error after the same training (docs/experiments.md)."""
     learning_rate: Positive = 1e-4
     """Step size of the optimiser. With both, the root mean square of a weight's step is about a fifth of it;
     the first steps of Adam are as large as it."""

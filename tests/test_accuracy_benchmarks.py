@@ -1,4 +1,4 @@
-"""The benchmarks behind docs/accuracy.md: learning curve, bounds, library baseline, gallery."""
+"""The benchmarks behind docs/accuracy.md and docs/experiments.md: curve, bounds, library baseline, gallery."""
 
 import re
 import runpy

@@ -30,8 +30,8 @@ class UNet(nn.Module):
 
     *Blocks.* With `block` > 1, each block of that many pixels squared becomes one position of the U-Net, and
     all its values are channels of it; the U-Net's output becomes pixels again before the head's 3x3
-    convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/accuracy.md), and the
-    U-Net has a quarter of the multiplications with 2. The paper's network has 1.
+    convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/experiments.md), and
+    the U-Net has a quarter of the multiplications with 2. The paper's network has 1.
 
     *Rectifiers.* A ReLU that is 0 in every pixel of every image gets no gradient any more: such units are
     dead. With a `negative_slope`, the ReLUs are leaky and no unit dies.
