@@ -1,4 +1,4 @@
-"""The benchmarks behind docs/accuracy.md and docs/experiments.md: curve, bounds, library baseline, gallery."""
+"""Benchmarks of docs/accuracy.md and docs/experiments.md: curves, bounds, library baseline, gallery."""
 
 import re
 import runpy
