@@ -1,8 +1,8 @@
 """Other networks and losses than those of NIGHT: train and judge each, beside NIGHT's own.
 
 This makes the table of docs/experiments.md again, and is the place to try the next idea. Each row changes one
-thing against the preset `default` with Adam, without images of the three bounces. Interrupted runs continue,
-and finished runs are only judged. Run, for all or for some:
+thing against the preset `five-levels` without images of the three bounces. Interrupted runs continue, and
+finished runs are only judged. Run, for all or for some:
 
     .venv/bin/python benchmarks/other_networks.py data80 --out others
     .venv/bin/python benchmarks/other_networks.py data80 --out others --only dense-map residual --seeds 3

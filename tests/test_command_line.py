@@ -157,13 +157,13 @@ def test_what_a_user_can_change_is_one_sentence(monkeypatch, error, sentence):
 
 
 def test_signals_end_a_command_with_their_own_codes(monkeypatch):
-    of_the_tests = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored under `nohup`
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` ignores it
     try:
         for number in (signal.SIGTERM, signal.SIGHUP):
             monkeypatch.setattr(cli, "open_dataset", lambda _, number=number: os.kill(os.getpid(), number))
             assert night_here("night-render", "status", "data").returncode == 128 + number
     finally:
-        signal.signal(signal.SIGHUP, of_the_tests)
+        signal.signal(signal.SIGHUP, before)
     monkeypatch.setattr(cli, "open_dataset", failing_with(KeyboardInterrupt()))
     done = night_here("night-render", "status", "data")
     assert (done.returncode, done.stderr) == (128 + signal.SIGINT, "interrupted\n")
