@@ -14,7 +14,7 @@ from model.data.shards import Shards, open_shards
 from model.network.dead_units import dead_units
 from model.run_folder.run_config import read_config
 from model.run_folder.shipped import run_folder
-from model.run_folder.weights import load_weights
+from model.run_folder.weights import trained_network
 from model.training.rendered_channels import rendered_channels
 from scenegen import open_dataset
 
@@ -53,8 +53,7 @@ def dead_of(run: str, shards: Shards, rows: list[int]) -> dict[str, torch.Tensor
     """The dead units of the layers of a run."""
     folder = run_folder(Path(run))
     config = read_config(folder)
-    network = config.network()
-    load_weights(folder, network, config)
+    network, _ = trained_network(folder, config)
     return dead_units(network, rendered_channels(config, shards, rows))
 
 

@@ -75,7 +75,12 @@ def _chosen_settings(
     inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
     without = before | data | inherited
     try:
-        return model.settings_from_dict(without | given, origin)
+        settings = model.settings_from_dict(without | given, origin)
     except PresetError:
         model.settings_from_dict(without, origin)  # its own fault, if it has one
-        return model.settings_from_dict(without | given, "options")
+        settings = model.settings_from_dict(without | given, "options")
+    idle = sorted(given.keys() & settings.idle)
+    if idle:
+        option = idle[0].replace("_", "-")
+        raise click.UsageError(f"--{option} changes nothing with target {settings.target}: leave it out")
+    return settings

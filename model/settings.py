@@ -52,7 +52,13 @@ READOUT_SETTINGS = (
     *("loss", "smooth_l1_beta"),
     *("mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone"),
 )
+# Of no use to a network that predicts mask and depth.
+SETTINGS_OF_PHASORS = (
+    *("loss_on", "alpha", "balance"),
+    *("mask_from", "mask_gradient", "mask_depth_m", "dead_zone"),
+)
 STARTING_SETTINGS = (*NETWORK_SETTINGS, *READOUT_SETTINGS, "optimiser")
+MOST_MULTIPLE = 1024  # pixels: the U-Net enlarges images to a multiple of blocks, halved at every level
 NotNegative = Annotated[float, Field(ge=0)]
 
 
@@ -203,6 +209,11 @@ class TrainSettings:
         """Whether the amplitude of a predicted phasor is the probability of an object pixel."""
         return self.target == "mask+depth"
 
+    @property
+    def idle(self) -> frozenset[str]:
+        """Names of the settings that change nothing, because of `target`."""
+        return frozenset(SETTINGS_OF_PHASORS if self.predicts_probability else ("smooth_l1_beta",))
+
     def for_images(self, width: int) -> TrainSettings:
         """These settings with the number for which a block of 0 stands, for images of so many pixels.
 
@@ -238,6 +249,12 @@ class TrainSettings:
         if self.sensor_capture and self.sensor is None:
             raise ValueError(
                 "sensor_capture is a capture of the empty corner by the sensor: name one (--sensor)"
+            )
+        multiple = self.block * 2 ** (self.levels - 1)
+        if multiple > MOST_MULTIPLE:
+            raise ValueError(
+                f"{self.levels} levels and blocks of {self.block} pixels enlarge images to multiples of "
+                f"{multiple} pixels, more than {MOST_MULTIPLE}: take fewer levels or a smaller block"
             )
         if "wall" in self.channels and not self.reference.startswith("self"):
             raise ValueError(f"channels {self.channels} show the wall that a fit finds: take reference self")

@@ -174,10 +174,19 @@ def test_a_checkpoint_of_another_architecture_is_refused(pipeline_copy):
     assert "another architecture" in refusal("night-eval", *judged)
 
 
-def test_a_network_that_does_not_fit_into_memory_is_refused(pipeline_copy):
-    edit_settings(pipeline_copy / "run", width=1000000)
+@pytest.mark.parametrize("width", [700, 1_000_000])
+def test_a_network_that_is_much_larger_than_its_weights_takes_no_memory(pipeline_copy, width):
+    edit_settings(pipeline_copy / "run", width=width)
     judged = (pipeline_copy / "run", pipeline_copy / "data", "--out", pipeline_copy / "report")
-    assert refusal("night-eval", *judged).startswith("out of memory")
+    message = refusal("night-eval", *judged)
+    assert "another architecture" in message
+    assert "are needed" in message
+
+
+def test_a_network_that_would_enlarge_every_image_is_refused(pipeline_copy):
+    edit_settings(pipeline_copy / "run", levels=8, block=64)
+    judged = (pipeline_copy / "run", pipeline_copy / "data", "--out", pipeline_copy / "report")
+    assert "take fewer levels" in refusal("night-eval", *judged)
 
 
 def test_a_loss_that_explodes_ends_a_training_in_one_sentence(pipeline, tmp_path):

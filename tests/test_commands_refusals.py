@@ -150,6 +150,15 @@ TABLE = [
     ("night-train {data} --out {out} --learning-rate inf", "learning_rate must be a finite number"),
     ("night-train {data} --out {out} --alpha nan", "nan is not in the range x>=0"),
     (
+        "night-train {data} --out {out} --alpha 1",
+        "--alpha changes nothing with target mask+depth: leave it out",
+    ),
+    (
+        "night-train {data} --out {out} --preset paper --smooth-l1-beta 1",
+        "--smooth-l1-beta changes nothing with target components: leave it out",
+    ),
+    ("night-train {data} --out {out} --levels 8 --block 16", "take fewer levels or a smaller block"),
+    (
         "night-train {data} --out {out} --mask-threshold nan",
         "nan is not in the range x>0",
     ),

@@ -170,6 +170,17 @@ def test_a_network_learns_resumes_and_is_judged_on_many_corners(corners, run, tm
     assert len(report.scenes) == len(corners.ids("test"))
 
 
+def test_a_fine_tuned_network_knows_the_walls_of_its_own_training(run, tmp_path):
+    """And no longer those of the other: the largest shift tells which walls a prediction may show."""
+    one_corner = write_synthetic_dataset(tmp_path / "data")
+    tuning = SHOWN | {"max_epochs": 1}
+    train(one_corner, tmp_path / "tuned", settings(**tuning), start_from=run)
+    before, after = read_config(run).inputs, read_config(tmp_path / "tuned").inputs
+    assert before.largest_shift_m > 0.05
+    assert after.largest_shift_m < 0.02  # of hidden light alone
+    assert replace(after, largest_shift_m=before.largest_shift_m) == before
+
+
 def test_a_dataset_elsewhere_is_judged_with_its_own_wall(run, tmp_path):
     """The fit starts at the wall of the dataset: the channels see where it is, not where the run's was."""
     away = write_synthetic_dataset(

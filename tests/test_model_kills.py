@@ -41,6 +41,22 @@ def test_a_training_that_is_killed_between_two_files_loses_nothing(
     assert survives(number, {"os.rename"}, closed_form_scenes, finished_run, tmp_path)
 
 
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_fine_tuning_that_is_killed_before_it_has_a_run_json_can_begin_again(
+    closed_form_scenes, finished_run, tmp_path, number
+):
+    run = tmp_path / "run"
+
+    def tune():
+        train(closed_form_scenes, run, settings(), start_from=finished_run)
+
+    assert killed_before(number, {"os.rename"}, tune, below=run)
+    assert (run / "history.csv").exists()
+    assert not (run / "run.json").exists()
+    tune()
+    assert len(read_history(run)["epoch"]) == settings().max_epochs
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("first", [0, 3])
 def test_a_training_that_is_killed_before_any_call_loses_nothing(

@@ -12,6 +12,7 @@ from training_runs import assert_same_end, before_each_network, checkpoint, sett
 from model.data.rows import RowLayout
 from model.run_folder.run_config import RunError, run_settings
 from model.settings import settings_from_dict
+from model.training.interruption import Interruption
 from model.training.log import TrainingLog
 from model.training.loop import train
 
@@ -140,6 +141,19 @@ def test_a_training_that_is_asked_to_stop_goes_on_in_the_middle_of_its_epoch(
     assert train(closed_form_scenes, run, settings(**course), resume=True) == whole
     assert checkpoint(run)["history"] == checkpoint(tmp_path / "whole")["history"]
     assert_same_end(run, tmp_path / "whole")
+
+
+def test_a_training_ignores_a_signal_that_its_process_ignores():
+    """As a background job of a script ignores Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with Interruption() as interruption:
+            os.kill(os.getpid(), signal.SIGINT)
+            assert interruption.signal is None
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert interruption.signal == signal.SIGTERM
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_a_training_that_is_asked_to_stop_while_it_validates_goes_on_there(

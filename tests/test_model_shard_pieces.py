@@ -145,6 +145,12 @@ def test_a_damaged_reference_is_made_again(dataset, damage):
     assert inodes(dataset) == files
 
 
+def test_images_of_one_row_or_column_have_a_reference(tmp_path):
+    for width, height in ((11, 1), (1, 7)):
+        dataset = write_synthetic_dataset(tmp_path / f"{width}", count=6, width=width, height=height)
+        assert open_shards(dataset).reference.shape == (height, width, 3)
+
+
 def test_another_split_or_camera_and_a_broken_manifest_leave_the_pieces(dataset):
     first, files = open_shards(dataset), inodes(dataset)
     index = json.loads((dataset.root / "dataset.json").read_text())

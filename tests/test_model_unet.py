@@ -8,7 +8,7 @@ import torch
 from itof import phasor_of_return
 from model.network.loss import NightLoss
 from model.network.readout import Readout
-from model.network.unet import UNet
+from model.network.unet import UNet, least_weights
 
 FREQUENCY_HZ = 20e6
 
@@ -20,10 +20,18 @@ def seeded(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+def weight_count(module):
+    return sum(weight.numel() for weight in module.parameters())
+
+
 def test_the_network_of_the_paper_has_7763270_parameters():
-    network = UNet(7, 32)
-    assert sum(p.numel() for p in network.parameters()) == 7_763_270
-    assert network.parameter_count == 7_763_270
+    assert weight_count(UNet(7, 32)) == 7_763_270
+
+
+@pytest.mark.parametrize(("levels", "block"), [(1, 1), (5, 1), (3, 4), (2, 16)])
+def test_the_lower_bound_of_the_number_of_weights_is_about_a_quarter(levels, block):
+    count = weight_count(UNet(5, 12, levels=levels, block=block, uncertainty=True))
+    assert count / 5 < least_weights(5, 12, levels, block) < count
 
 
 @pytest.mark.parametrize(("channels", "height", "width"), [(7, 16, 32), (12, 30, 40), (3, 17, 5), (1, 1, 33)])
@@ -80,8 +88,7 @@ def test_the_heads_leave_out_padding_that_changes_no_pixel(block, seen):
 def test_a_network_with_fewer_levels_lacks_the_deepest_and_pads_to_smaller_multiples(levels, multiple):
     network, deeper = (UNet(2, 4, levels=each, generator=seeded()).double() for each in (levels, levels + 1))
     deepest = (deeper.encoder[-1], deeper.upsampling[0], deeper.decoder[0])
-    missing = sum(weight.numel() for part in deepest for weight in part.parameters())
-    assert network.parameter_count == deeper.parameter_count - missing
+    assert weight_count(network) == weight_count(deeper) - sum(map(weight_count, deepest))
     image = torch.randn(1, 2, 30, 41, generator=seeded()).double()
     down, across = -30 % multiple, -41 % multiple
     sides = (across // 2, across - across // 2, down // 2, down - down // 2)

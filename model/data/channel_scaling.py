@@ -107,6 +107,26 @@ def fit_input_spec(
     )
 
 
+def largest_shift_m(inputs: InputSpec, shards: Shards, rows: Sequence[int], view: WallView) -> float:
+    """Largest distance of a wall that scenes show from the expected one, metres; for the channel of the wall.
+
+    Parameters
+    ----------
+    inputs : input channels, whose other constants stay those of the training scenes that they come from.
+    view : camera and expected relay wall of the shards.
+    """
+    places, frequencies_hz = inputs.places(shards.manifest.frequencies_hz), inputs.frequencies_hz
+    expected = view.expected_wall(shards.reference[..., places], frequencies_hz)
+    of_scenes = SceneWalls.of_shards(view, shards, frequencies_hz)
+    shifts_m = [0.0]
+    for some, phasors in _images(shards, rows):
+        wall = of_scenes.of(some) if of_scenes else expected
+        _, inverse = inputs.parted(_reference(inputs, phasors[..., places], wall))
+        statistics = _wall_statistics(inverse[..., 0].real.astype(np.float64), wall)
+        shifts_m.extend(shift_m for _, _, shift_m in statistics)
+    return max(shifts_m)
+
+
 def _reference(inputs: InputSpec, seen: NDArray[np.generic], wall: ExpectedWall) -> NDArray[np.generic]:
     """`InputSpec.reference_for` images (n, H, W, F), by PyTorch, which is faster than numpy here."""
     found: NDArray[np.generic] = inputs.reference_for(

@@ -167,7 +167,7 @@ def _update_reference(
     )
     components = split_components(reference)  # (H, W, 2F)
     with whole_file(file) as partial, partial.open("wb") as stream:
-        np.save(stream, np.moveaxis(components, -1, 0).astype(np.float32))
+        np.save(stream, np.ascontiguousarray(np.moveaxis(components, -1, 0), dtype=np.float32))
     return hashes.sha256(file)
 
 

@@ -180,11 +180,6 @@ class UNet(nn.Module):
         convolutions = [each for each in layers if isinstance(each, nn.Conv2d | nn.ConvTranspose2d)]
         return [each.weight for each in convolutions if each.weight is not first]
 
-    @property
-    def parameter_count(self) -> int:
-        """Number of weights and biases."""
-        return sum(parameter.numel() for parameter in self.parameters())
-
     def _two_convolutions(self, before: int, after: int) -> nn.Sequential:
         return nn.Sequential(
             nn.Conv2d(before, after, kernel_size=3, padding=1),
@@ -219,6 +214,14 @@ class UNet(nn.Module):
                 nn.init.normal_(module.weight, std=(gain / fan_in) ** 0.5, generator=generator)
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+
+
+def least_weights(input_channels: int, width: int, levels: int, block: int) -> int:
+    """A lower bound of the number of weights of a `UNet`, about a quarter of them.
+
+    These are the weights of the first convolution and of the last one of the deepest level.
+    """
+    return 9 * (input_channels * block**2 * width + (width * 2 ** (levels - 1)) ** 2)
 
 
 def average_with_flip(network: Callable[[Tensor], Tensor], channels: Tensor, output: Tensor) -> Tensor:

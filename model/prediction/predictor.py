@@ -24,7 +24,7 @@ from model.network.wall_view import WallView
 from model.prediction.expected_error import expected_mae_m
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
-from model.run_folder.weights import load_weights
+from model.run_folder.weights import trained_network
 from model.settings import DeviceName
 from scenegen import NightError, PathLike
 from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
@@ -293,6 +293,5 @@ def load(run: PathLike, device: DeviceName = "auto") -> Predictor:
     config = read_config(folder)
     chosen = choose_device(device)
     with plain_memory_errors():
-        network = config.network()
-        content = load_weights(folder, network, config)
+        network, content = trained_network(folder, config)
         return Predictor(config, network.to(chosen), chosen, hashlib.sha256(content).hexdigest())

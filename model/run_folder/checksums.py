@@ -24,10 +24,11 @@ class Label(NamedTuple):
     is_right: bool
 
 
-def with_checksum(content: bytes, mark: str) -> bytes:
+def with_checksum(content: bytes, mark: str) -> bytearray:
     """`content` with its digest in place of the 64 zeros after the last `mark`."""
-    place = _place(content, mark)
-    return b"".join((content[:place], _digest(content, place).encode(), content[place + DIGITS :]))
+    place, whole = _place(content, mark), bytearray(content)
+    whole[place : place + DIGITS] = _digest(content, place).encode()
+    return whole
 
 
 def has_right_checksum(content: bytes, mark: str) -> bool:
@@ -41,7 +42,7 @@ def label_text(run_id: str) -> str:
     return f"{_BEFORE_RUN}{run_id}{_BEFORE_DIGEST}{ZEROS}"
 
 
-def labelled(content: bytes) -> bytes:
+def labelled(content: bytes) -> bytearray:
     """`content`, which contains a `label_text`, with its digest."""
     return with_checksum(content, _BEFORE_DIGEST)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from model.run_folder.history import HISTORY_FILE
 from model.run_folder.run_config import CONFIG_FILE, RunError, read_config
 from model.run_folder.shipped import run_folder
-from model.run_folder.weights import load_weights, save_weights
+from model.run_folder.weights import save_weights, trained_network
 from scenegen import PathLike, whole_folder
 
 
@@ -31,8 +31,7 @@ def compact(run: PathLike, out: PathLike) -> Path:
         raise RunError(
             f"{folder} is a run of an earlier version without an id: resume it once, then publish it"
         )
-    network = config.network()
-    load_weights(folder, network, config)
+    network, _ = trained_network(folder, config)
     weights = network.state_dict()
     large = next((name for name, each in weights.items() if not bool(each.half().isfinite().all())), None)
     if large is not None:

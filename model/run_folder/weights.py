@@ -15,7 +15,7 @@ import torch
 from safetensors.torch import load, save
 from torch import Tensor
 
-from model.network.unet import UNet
+from model.network.unet import UNet, least_weights
 from model.run_folder.checksums import label_text, labelled, read_at_most, read_label
 from model.run_folder.run_config import LABELLED_SINCE, RunConfig, RunError
 from scenegen import whole_file
@@ -37,14 +37,14 @@ def save_weights(folder: Path, weights: Mapping[str, Tensor], run_id: str, *, ha
         partial.write_bytes(content)
 
 
-def load_weights(folder: Path, network: UNet, config: RunConfig) -> bytes:
-    """Load ``best.safetensors`` of the run that `config` describes into `network`.
+def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
+    """The network of the run that `config` describes, with the weights of ``best.safetensors``.
 
     Weights that are 16 bit floats, as in a compact run (`model.run_folder.compact`), become 32 bit floats.
 
     Returns
     -------
-    The content of the file.
+    The network, on the CPU, and the content of the file.
 
     Raises
     ------
@@ -56,8 +56,10 @@ def load_weights(folder: Path, network: UNet, config: RunConfig) -> bytes:
         raise RunError(
             f"{folder} has no best.safetensors: no epoch was finished; resume it with night-train --resume"
         )
-    size = sum(tensor.nbytes for tensor in network.state_dict().values())
     try:
+        _refuse_small(file, config)  # before a network that run.json alone calls large takes all memory
+        network = config.network()
+        size = sum(tensor.nbytes for tensor in network.state_dict().values())
         content = read_at_most(file, size + _MOST_HEADER)
     except OSError as error:
         raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
@@ -72,7 +74,16 @@ def load_weights(folder: Path, network: UNet, config: RunConfig) -> bytes:
         raise RunError(f"{file} is no safetensors file ({error}): {_AGAIN}") from None
     whole = {name: each.float() if each.dtype == torch.float16 else each for name, each in weights.items()}
     fill(network, whole, file)
-    return content
+    return network, content
+
+
+def _refuse_small(file: Path, config: RunConfig) -> None:
+    """`ValueError` if a file is too small for the network of `config`, even as 16 bit floats."""
+    settings = config.settings
+    least = 2 * least_weights(config.inputs.channel_count, settings.width, settings.levels, settings.block)
+    size = file.stat().st_size
+    if size < least:
+        raise ValueError(f"it has {size} bytes, at least {least} are needed")
 
 
 def refuse_other_label(content: bytes, file: Path, config: RunConfig, again: str) -> None:

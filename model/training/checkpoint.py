@@ -35,13 +35,18 @@ def save_checkpoint(folder: Path, state: Mapping[str, Any], run_id: str) -> None
     ------
     OSError : the file cannot be written.
     """
-    stream = io.BytesIO()  # where PyTorch cannot fail: for a full disk it has no exception of its own
-    torch.save({"schema_version": RUN_SCHEMA, **state}, stream)
-    comment = label_text(run_id).encode()
-    archive = stream.getvalue()[:-_COMMENT_LENGTH]
-    content = labelled(archive + len(comment).to_bytes(_COMMENT_LENGTH, "little") + comment)
+    content = labelled(_packed(state, label_text(run_id).encode()))
     with whole_file(folder / CHECKPOINT_FILE) as partial:
         partial.write_bytes(content)
+
+
+def _packed(state: Mapping[str, Any], comment: bytes) -> bytes:
+    """The archive of a state, with a comment."""
+    stream = io.BytesIO()  # where PyTorch cannot fail: for a full disk it has no exception of its own
+    torch.save({"schema_version": RUN_SCHEMA, **state}, stream)
+    with stream.getbuffer() as archive:
+        length = len(comment).to_bytes(_COMMENT_LENGTH, "little")
+        return b"".join((archive[:-_COMMENT_LENGTH], length, comment))
 
 
 def load_checkpoint(folder: Path, config: RunConfig, weights_bytes: int) -> dict[str, Any] | None:

@@ -14,7 +14,7 @@ from model.device import plain_memory_errors
 from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
 from model.run_folder.shipped import run_folder
-from model.run_folder.weights import WEIGHTS_FILE, load_weights
+from model.run_folder.weights import WEIGHTS_FILE, trained_network
 from model.settings import NETWORK_SETTINGS, TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.finer_pixels import with_finer_pixels
@@ -70,8 +70,7 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
     config = read_config(run)
     _refuse_other_network(config, settings, run)
     with plain_memory_errors():
-        network = config.network()
-        content = load_weights(run, network, config)
+        network, content = trained_network(run, config)
         weights = {
             name: each for name, each in network.state_dict().items() if not name.startswith("images.")
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import signal
 import sys
@@ -15,6 +16,8 @@ _log = logging.getLogger(__name__)
 class Interruption:
     """Context in which the first SIGINT or SIGTERM is only noted; a second one has its usual effect.
 
+    A signal that the process ignores stays ignored, as SIGINT in a background job of a script.
+
     Attributes
     ----------
     signal : number of the noted signal, or None.
@@ -26,7 +29,8 @@ class Interruption:
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():  # only this thread may set handlers
-            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+            heeded = [number for number in SIGNALS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+            self._before = {number: signal.signal(number, self._note) for number in heeded}
         return self
 
     def __exit__(
@@ -43,8 +47,11 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
-        _log.info("stopping after this batch with a checkpoint; a second signal stops at once without one")
         self._restore()
+        with contextlib.suppress(RuntimeError):  # of a stream that the signal found in the middle of a write
+            _log.info(
+                "stopping after this batch with a checkpoint; a second signal stops at once without one"
+            )
 
     def _restore(self) -> None:
         for number, handler in self._before.items():

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 import torch
 
-from model.data.channel_scaling import fit_input_spec
+from model.data.channel_scaling import fit_input_spec, largest_shift_m
 from model.data.class_balance import BalanceError, background_per_object
 from model.data.object_depth import object_depth_m
 from model.data.shards import Shards, open_shards
@@ -189,7 +189,7 @@ def _removed_on_failure(files: Sequence[Path]) -> Iterator[None]:
     """Remove `files` if a run cannot begin, because a folder with other files is no place for a new one."""
     try:
         yield
-    except RunError:
+    except BaseException:  # also Ctrl-C
         for file in files:
             file.unlink(missing_ok=True)
         raise
@@ -205,6 +205,9 @@ def _configure(
             inputs = before.inputs
         elif start:
             inputs = start.inputs(dataset, manifest.frequencies_hz)
+            if inputs.shows_wall:
+                shift_m = largest_shift_m(inputs, shards, rows, wall_view(dataset))
+                inputs = replace(inputs, largest_shift_m=shift_m)
         else:
             inputs = fit_input_spec(
                 *(settings.channels, shards, rows, settings.frequencies_hz, settings.amplitude_divisor),

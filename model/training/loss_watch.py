@@ -10,8 +10,8 @@ from torch import Tensor
 
 from scenegen import NightError
 
-# Upper limit of a sound loss. An empty prediction has a loss of at most 1, a depth error of one unambiguous
-# range 56 m^2 with the squared error, and the initial weights give well below 100.
+# Upper limit of a sound loss. Initial weights give well below 100, and a depth error of one unambiguous range
+# gives 56 m^2 with the squared error.
 EXPLODED = 1e4
 
 

@@ -10,9 +10,11 @@ from typing import Final
 
 from model.data.shards import Shards
 from model.device import plain_memory_errors
+from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
 from model.sensors import view_problem
 from model.settings import TrainSettings
+from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset, NightError, is_partial
 
@@ -105,8 +107,14 @@ def refuse_missing_scenes(shards: Shards, dataset: Dataset, wanted: int | None) 
 
 
 def _is_free(out: Path) -> bool:
-    """Whether `out` is a folder without files, except a lock and temporary files of a killed process."""
-    return out.is_dir() and all(entry.name == LOCK_FILE or is_partial(entry.name) for entry in out.iterdir())
+    """Whether `out` is a folder without files, except those of a process that was killed before any epoch."""
+    if not out.is_dir():
+        return False
+    names = {entry.name for entry in out.iterdir() if not is_partial(entry.name)}
+    if not names <= {LOCK_FILE, HISTORY_FILE, CHECKPOINT_FILE}:
+        return False
+    # A fine-tuning writes history and checkpoint before run.json.
+    return not any(read_history(out).values()) if HISTORY_FILE in names else CHECKPOINT_FILE not in names
 
 
 @contextmanager
