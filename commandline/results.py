@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from commandline.sentences import printable
 from commandline.streams import say
 
 JSON = click.option(
@@ -23,10 +24,11 @@ def tell(sentences: Sequence[str], result: Mapping[str, Any] | Path, as_json: bo
     ----------
     result : plain data with finite numbers, or the JSON file that the command wrote.
     """
+    text = "\n".join(printable(line) for sentence in sentences for line in sentence.split("\n"))
     if not as_json:
-        click.echo("\n".join(sentences))
+        click.echo(text)
         return
     if sentences:
-        say("\n".join(sentences))
+        say(text)
     data = json.loads(result.read_text(encoding="utf-8")) if isinstance(result, Path) else dict(result)
     click.echo(json.dumps(data, allow_nan=False))

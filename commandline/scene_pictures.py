@@ -65,7 +65,8 @@ def panels(dataset: Path, scene: str, out: Path | None, width: int, device: Devi
     from render import write_mirror_panels
 
     opened = open_dataset(dataset)
-    file = out or Path(f"{opened.entry(scene).id}_panels.png")
+    entry = opened.entry(scene)
+    file = out or Path(f"{entry.id}_panels.png")
     write_mirror_panels(opened, scene, file, width=width, device=device)
     click.echo(f"the mirror trick with scene {scene}: {file}")
 

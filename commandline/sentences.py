@@ -39,8 +39,13 @@ def sentence_of(error: BaseException, command: str, place: str) -> str:
     command : name of the command that it ends.
     place : where the command writes; for errors of the system that do not say which file they are about.
     """
-    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in _words(error, command, place))
+    text = printable(_words(error, command, place))
     return _shortened(" ".join(_shortened(word, _LONGEST_WORD) for word in text.split(" ")), _LONGEST)
+
+
+def printable(line: str) -> str:
+    """A line without control characters, which text of a file may hold, and which a terminal would obey."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
 def _shortened(text: str, most: int) -> str:

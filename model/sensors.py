@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 from pydantic import TypeAdapter
@@ -10,7 +9,7 @@ from pydantic import TypeAdapter
 from itof.sensor.demodulation import wiggling
 from itof.sensor.settings import SensorSettings
 from scenegen import Dataset, PathLike, PresetError, read_settings
-from scenegen.contract import checked
+from scenegen.contract import checked_data
 
 _SAME_DEG = 1e-6
 
@@ -23,9 +22,7 @@ def load_sensor(name_or_file: PathLike) -> SensorSettings:
     PresetError : there is no such file, it is not TOML, or a key or value is wrong; the message names it.
     """
     data, origin = read_settings("sensors", name_or_file)
-    settings: SensorSettings = checked(
-        TypeAdapter(SensorSettings), json.dumps(data, default=str), origin, PresetError
-    )
+    settings: SensorSettings = checked_data(TypeAdapter(SensorSettings), data, origin, PresetError)
     return settings
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 from math import log2
 from pathlib import Path
@@ -15,7 +14,7 @@ from pydantic.fields import FieldInfo
 from itof.sensor.settings import SensorSettings
 from model.sensors import load_sensor
 from scenegen import NightError, PathLike, PresetError, inside, read_settings
-from scenegen.contract import STRICT, Positive, WholeCount, checked
+from scenegen.contract import STRICT, Positive, WholeCount, checked_data
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
 AmplitudeDivisor = Literal["mean", "maximum"]
@@ -357,6 +356,5 @@ def settings_from_dict(data: dict[str, Any], origin: str) -> TrainSettings:
     ------
     PresetError : an unknown key, a wrong type or an impossible value, by name.
     """
-    text = json.dumps(data, default=str)
-    settings: TrainSettings = checked(TypeAdapter(TrainSettings), text, origin, PresetError)
+    settings: TrainSettings = checked_data(TypeAdapter(TrainSettings), data, origin, PresetError)
     return settings

@@ -142,7 +142,9 @@ class Renderer:
         digest = digest_of(files)
         if is_edited(self.dataset, scene_id, digest) and not self.settings.accept_edited:
             refuse_edited(self.dataset, [scene_id])
-        return _Source(scene_of(files, folder), folder, files, digest)
+        scene = scene_of(files, folder)
+        _refuse_unlike(scene, self.dataset)
+        return _Source(scene, folder, files, digest)
 
     def _render_measurement(self, source: _Source, attributes: dict[str, str]) -> dict[str, str]:
         """Write the phasors and, if wanted, the transient; return the attributes of these files."""
@@ -250,6 +252,21 @@ def _forget_earlier(folder: Path, recipe: str) -> None:
         file = folder / name
         if file.is_file() and (name not in kept or sha256_of(file) != kept[name].sha256):
             file.unlink()
+
+
+def _refuse_unlike(scene: Scene, dataset: Dataset) -> None:
+    """Refuse a scene that would be rendered otherwise than it says; night-gen makes none."""
+    if len({part.reflectance for part in scene.hidden_objects}) > 1:
+        raise RenderError(
+            f"scene {scene.id}: its hidden objects have different reflectances, but share one material: give "
+            "them the same reflectance"
+        )
+    seen, camera = scene.camera, dataset.preset.camera
+    if seen.width * camera.height != seen.height * camera.width:
+        raise RenderError(
+            f"scene {scene.id}: its camera has {seen.width}x{seen.height} pixels, another shape than the "
+            f"{camera.width}x{camera.height} of the dataset: correct one of them"
+        )
 
 
 def _finite(blocks: Iterator[NDArray[np.float32]], what: str) -> Iterator[NDArray[np.float32]]:

@@ -5,6 +5,8 @@ Each dataclass that is stored in a file has `STRICT` as pydantic configuration. 
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
@@ -27,6 +29,7 @@ Extent = tuple[Length, Length, Length]
 Location = tuple[Metres, Metres, Metres]
 Rotation = tuple[Degrees, Degrees, Degrees]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
+ClassName = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$")]  # a shape, or the name of a mesh's file
 Roughness = Annotated[float, Field(gt=0, le=1)]
 MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0
 FieldOfView = Annotated[float, Field(ge=MIN_FOV_DEG, le=MAX_FOV_DEG)]  # degrees
@@ -73,6 +76,17 @@ def checked(
         return adapter.validate_json(text)
     except ValidationError as error:
         raise refusal(f"{origin}: {_problem(error.errors()[0])}") from None
+
+
+def checked_data(
+    adapter: TypeAdapter[Any], data: Mapping[str, Any], origin: str, refusal: type[NightError]
+) -> Any:
+    """`checked` for plain data, such as the contents of a TOML file."""
+    try:
+        text = json.dumps(data, default=str)
+    except (ValueError, RecursionError) as error:  # hexadecimal numbers too long, and tables too deep
+        raise refusal(f"{origin}: {error}") from None
+    return checked(adapter, text, origin, refusal)
 
 
 def _problem(error: ErrorDetails) -> str:

@@ -19,7 +19,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from scenegen.contract import STRICT, ContractError, checked
+from scenegen.contract import STRICT, ClassName, ContractError, checked
 from scenegen.files.inside import inside
 from scenegen.files.path_like import PathLike
 from scenegen.files.whole_files import write_text
@@ -49,7 +49,7 @@ class SceneEntry:
     """
 
     id: Annotated[str, Field(pattern=r"^[0-9]{6,}$")]
-    object_class: str
+    object_class: ClassName
     split: Split
     sha256: Annotated[Sha256 | None, Field(exclude_if=lambda value: value is None)] = field(
         default=None, repr=False

@@ -6,7 +6,6 @@ else ours (docs/design.md, Scene).
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter
@@ -28,7 +27,7 @@ from scenegen.contract import (
     Reflectance,
     Rotation,
     Roughness,
-    checked,
+    checked_data,
 )
 from scenegen.files.path_like import PathLike
 from scenegen.preset_files import PresetError, read_settings
@@ -303,7 +302,7 @@ def preset_from_dict(data: dict[str, Any], origin: str) -> Preset:
     ------
     PresetError : an unknown key, a wrong type or an impossible value; the message names the key.
     """
-    preset: Preset = checked(TypeAdapter(Preset), json.dumps(data, default=str), origin, PresetError)
+    preset: Preset = checked_data(TypeAdapter(Preset), data, origin, PresetError)
     return preset
 
 

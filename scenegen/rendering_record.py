@@ -14,9 +14,11 @@ from pydantic.dataclasses import dataclass
 
 from scenegen.contract import STRICT, WholeCount, checked
 from scenegen.files.path_like import PathLike
+from scenegen.files.plain_file import read_plain
 from scenegen.files.whole_files import write_text
 
 RENDERING_FILE = "rendering.json"
+_MOST_BYTES = 2**24
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -56,9 +58,11 @@ def read_rendering_record(renders: PathLike) -> RenderingRecord | None:
     OSError : the file cannot be read.
     """
     file = Path(renders, RENDERING_FILE)
-    if not file.exists():
+    try:
+        text = read_plain(file, _MOST_BYTES)
+    except FileNotFoundError:
         return None
-    record: RenderingRecord = checked(TypeAdapter(RenderingRecord), file.read_bytes(), str(file))
+    record: RenderingRecord = checked(TypeAdapter(RenderingRecord), text, str(file))
     return record
 
 

@@ -9,6 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from scenegen.contract import (
     STRICT,
+    ClassName,
     Extent,
     FieldOfView,
     Positive,
@@ -113,7 +114,7 @@ class Scene:
     dataset_seed: Annotated[int, Field(ge=0)]
     attempt: Annotated[int, Field(ge=0)]
     seed: Annotated[int, Field(ge=0, lt=2**32)]
-    object_class: str
+    object_class: ClassName
     split: Split
     hidden_objects: Annotated[tuple[HiddenObject, ...], Field(min_length=1)]
     relay_wall: RelayWall

@@ -24,7 +24,7 @@ WALLS = ("relay_wall", "middle_wall")
 _FIXED_NAMES = {SCENE_FILE, SEEN_XML, MIRRORED_XML, EMITTER_IMAGE, *(f"{wall}.ply" for wall in WALLS)}
 _ANY_NAMES = _FIXED_NAMES | {WALL_IMAGE}
 _OTHER_MESH = re.compile(r"((mirrored_)?hidden_object_[0-9]+|mirrored_middle_wall)\.ply")
-_MAX_FILE_BYTES = 2**30  # two million triangles, the most that a mesh may have, take 50 MB
+MOST_FILE_BYTES = 2**30  # two million triangles, the most that a mesh may have, take 50 MB
 
 
 class SceneFolderError(NightError):
@@ -132,7 +132,7 @@ def _contents(folder: Path) -> Iterator[tuple[str, bytes]]:
                 f"{entry.path} is {'a symbolic link' if entry.is_symlink() else 'no regular file'}, and a "
                 "scene folder holds regular files alone: move it elsewhere and run night-gen scenes again"
             )
-        if entry.stat(follow_symlinks=False).st_size > _MAX_FILE_BYTES:
+        if entry.stat(follow_symlinks=False).st_size > MOST_FILE_BYTES:
             raise SceneFolderError(
                 f"{entry.path} is larger than any file of a scene: run night-gen scenes again"
             )

@@ -14,6 +14,7 @@ from model.capture.capture import ImageShape, capture_of
 from model.capture.checking import check_capture
 from model.capture.facts import milliradians
 from model.capture.image_check import check_image
+from model.capture.sidecar import CaptureError
 
 WALL = wall_of_plane()
 PHASOR = WALL.direct * (1 + 2e-4 * noise(WALL.direct.shape))
@@ -185,8 +186,10 @@ def test_raw_frames_become_a_measurement_that_is_checked(frames):
     assert done.stdout.startswith("fine: nothing is wrong\nthe wall is 1.")
     assert "the reference: 3 frames of 13x9 pixels" in done.stdout
     assert (frames / "picture.png").read_bytes().startswith(b"\x89PNG")
-    # only an earlier import is replaced
+    # only an earlier import is replaced, also one that was killed after it had written its record
     again = ("night-eval", "capture", "import", frames / "frames.npz", *words, "--out")
+    assert night_here(*again, frames / "corner.npz").returncode == 0
+    (frames / "corner.npz").unlink()
     assert night_here(*again, frames / "corner.npz").returncode == 0
     assert "is one of the captured files" in refusal(*again, frames / "frames.npz")
     np.savez(frames / "mine.npz", a=1)
@@ -233,6 +236,31 @@ def test_frequencies_in_megahertz_are_refused(tmp_path):
     file = write_npz(tmp_path / "m.npz", phasors=PHASOR, frequencies_hz=np.array([20.0, 50.0, 60.0]))
     said = refusal("night-eval", "capture", "check", file, "--fov", 60)
     assert said.endswith("frequencies_hz is 20, 50, 60: write Hz, not MHz")
+
+
+def test_frequencies_that_no_camera_has_are_refused_and_not_searched(tmp_path):
+    file = write_npz(tmp_path / "m.npz", phasors=PHASOR, frequencies_hz=np.array([20e6, 50e6, 1e18]))
+    said = refusal("night-eval", "capture", "check", file, "--fov", 60)
+    assert said.endswith("write Hz, at most 1e+10")
+    many = np.arange(1, 18) * 1e6
+    file = write_npz(tmp_path / "m.npz", phasors=np.ones((26, 34, 17), complex), frequencies_hz=many)
+    assert "has 17 frequencies, and 16 are the most" in refusal(
+        "night-eval", "capture", "check", file, "--fov", 60
+    )
+
+
+@pytest.mark.parametrize("fov_deg", [0.5, 200.0, float("nan")])
+def test_fields_of_view_that_no_camera_has_are_refused(tmp_path, fov_deg):
+    file = write_npz(tmp_path / "m.npz", phasors=PHASOR)
+    with pytest.raises(CaptureError, match="no camera sees"):
+        check_capture(file, horizontal_fov_deg=fov_deg)
+
+
+@pytest.mark.parametrize("unit", [1e25, 1e-30])
+def test_a_wall_is_found_in_any_unit(unit):
+    plain = see_wall(PHASOR, FREQUENCIES_HZ, FOV_DEG)
+    seen = see_wall((unit * PHASOR).astype(np.complex64), FREQUENCIES_HZ, FOV_DEG)
+    np.testing.assert_allclose(seen.fit.plane_per_m, plain.fit.plane_per_m, atol=1e-4)
 
 
 def test_a_reference_of_another_place_is_told(frames):

@@ -93,6 +93,7 @@ TABLE = [
     ("night-render plot {data} 000001 --pixel 24,0", "its pixels are 0,0 to 23,17"),
     ("night-render plot {data} 000001 --pixel 1;2", "'1;2' is no pixel; write it like 12,7"),
     ("night-render panels {data} 000099", "no scene 000099"),
+    ("night-render panels {data} 000099 --out {out}.png", "no scene 000099"),
     (
         "night-render panels {data} 000001 --out {out}.gif",
         "the panels are a .png file: cannot write {out}.gif",

@@ -283,9 +283,13 @@ def test_folders_that_are_no_pairs_are_refused_in_a_sentence(pair_folders, tmp_p
     assert "import all of them at one size" in refusal(*basis, pair_folders[0], small, *rest)
     assert "is named twice" in refusal(*basis, small, small, *rest)
     assert "describe one corner" in refusal(*basis, small, "--preset", "any-corner", *rest[2:])
-    values = np.load(small / "measurement.npz")
+    values = dict(np.load(small / "measurement.npz"))
     np.savez(small / "measurement.npz", **{**values, "phasors": 0 * values["phasors"]})
     assert "the measurement holds no light" in refusal(*basis, small, *rest)
+    dark = np.array([0, 1, 1])
+    known = values["phasors"]
+    np.savez(small / "measurement.npz", **{**values, "phasors": dark * known, "reference": known})
+    assert "the measurement holds no light at 20 MHz" in refusal(*basis, small, *rest)
     wide = tmp_path / "wide.toml"
     wide.write_text("[camera]\nhorizontal_fov_deg = 70.0\n")
     sidecar = tmp_path / "camera.toml"

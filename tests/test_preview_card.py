@@ -137,7 +137,9 @@ def test_the_card_says_that_fields_of_view_differ(corners):
     assert "horizontal field of view 55 to 65 degrees, that of each scene" in card
 
 
-@pytest.mark.parametrize("licence", ["[" * 100_000, "1" * 5000], ids=["deep", "long number"])
+@pytest.mark.parametrize(
+    "licence", ["[" * 100_000, "1" * 5000, '"a\\u0000b"'], ids=["deep", "long number", "control character"]
+)
 def test_a_licence_that_is_no_text_is_none(corners, licence):
     (corners.root / "README.md").write_text(
         f"<!-- night-gen preview writes this file; licence: {licence} -->"

@@ -5,13 +5,14 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from previews import RENDERED, grey_view
 from render_records import record_anew
 
 from itof import amplitude, direct_phasors, phase, read_image, write_image
 from render.products.contact_sheet import choose_scenes, contact_sheet
 from render.products.distributions import distributions_figure, ratio_sentence, read_distributions
-from render.products.tiles import read_tile
+from render.products.tiles import class_name, read_tile
 from scenegen import camera_axes, wall_normal
 
 
@@ -31,6 +32,13 @@ def test_a_tile_holds_what_was_rendered(corners):
         )
         words = (scene_id, entry.object_class.replace("_", " "), entry.split, f"roughness {roughness:.2f}")
         assert tile.title.split("   ") == list(words)
+
+
+def test_a_class_of_any_name_is_no_formula():
+    figure = Figure()
+    figure.text(0, 0, class_name("mesh:$^$.ply"))
+    figure.canvas.draw()  # Matplotlib would raise for a wrong formula
+    assert class_name("mesh:folder/a_b.ply") == "a b.ply"
 
 
 def test_the_sheet_draws_the_tiles_arrays_and_says_what_is_not_rendered(corners):

@@ -142,6 +142,12 @@ def test_only_the_objects_of_another_preset_are_tried(dataset, tmp_path):
     assert not any(scene["accepted"] for scene in scenes)  # a cube, and a larger sphere
 
 
+def test_a_command_that_was_killed_at_its_start_can_be_repeated(copied, refined, dataset):
+    shutil.rmtree(copied / "scenes")
+    refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
+    assert_same_results(copied, refined[0])
+
+
 def test_a_folder_with_other_files_is_left_alone(dataset, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     sentence = refusal("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path, "--device", "cpu")

@@ -230,3 +230,11 @@ def test_a_file_that_is_no_toml_is_refused(tmp_path):
     (tmp_path / "bad.toml").write_text("[dataset\ncount = 3")
     with pytest.raises(PresetError, match="cannot be read as TOML"):
         load_preset(str(tmp_path / "bad.toml"))
+
+
+@pytest.mark.parametrize("text", [f"a = 0x{'F' * 4000}", f"[{'.'.join('a' * 2000)}]"], ids=["long", "deep"])
+def test_toml_that_is_no_json_is_refused(tmp_path, text):
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(PresetError, match=f"{file}: "):
+        load_preset(file)

@@ -125,7 +125,7 @@ class SensorSettings:
     adc_e_per_dn: Positive | None = None
     adc_offset_dn: NotNegative = 0.0
     integration_s: Annotated[float, Field(gt=0, le=1e3)] = 1e-3
-    frames: Count = 1
+    frames: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1
 
     def __post_init__(self) -> None:
         if (self.adc_bits is None) != (self.adc_e_per_dn is None):

@@ -65,7 +65,9 @@ def see_wall(phasor: Phasors, frequencies_hz: Sequence[float], horizontal_fov_de
         raise ValueError("the phasors hold NaN or infinite values")
     if np.count_nonzero((phasor != 0).all(-1)) < 3 + count:
         return None
-    whole = _Trial(phasor, tuple(frequencies_hz), pixel_rays(width, height, horizontal_fov_deg))
+    largest = max(float(np.abs(phasor.real).max()), float(np.abs(phasor.imag).max()))
+    unit = phasor.astype(np.complex128) / largest  # whose squares are numbers, also from complex64
+    whole = _Trial(unit, tuple(frequencies_hz), pixel_rays(width, height, horizontal_fov_deg))
     try:
         return _refined(*_explained(whole), horizontal_fov_deg)
     except ValueError:  # almost all of the light is in too few pixels

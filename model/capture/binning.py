@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from model.capture.sidecar import CaptureError
+from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
 
 LONGEST_SIDE: Final = 2**14  # of a sensor, pixels; those of iToF cameras have up to 2**11
 LEAST_FOV_DEG: Final = 1.0  # of an image: what the record of an import takes
@@ -71,6 +72,13 @@ class Binning:
         if bin_side is not None and wanted_fov_deg is not None:
             raise CaptureError(
                 "a field of view is cut out at an image size, not at a bin's side: give --size with --fov"
+            )
+        if bin_side is not None and bin_side < 1:
+            raise CaptureError(f"a bin has a side of at least one pixel, not {bin_side}")
+        if wanted_fov_deg is not None and not MIN_FOV_DEG <= wanted_fov_deg <= MAX_FOV_DEG:
+            raise CaptureError(
+                f"no camera sees {wanted_fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to "
+                f"{MAX_FOV_DEG:g}"
             )
         if size is None:
             whole = bin_side or 1

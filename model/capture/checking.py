@@ -20,11 +20,12 @@ from model.capture.image_check import ImageCheck, check_image, wall_distance_m
 from model.capture.importing import paths
 from model.capture.raw_frames import refuse_repeated
 from model.capture.record import read_import_record
-from model.capture.sidecar import SLOWEST_HZ, CaptureError, Sidecar
+from model.capture.sidecar import FASTEST_HZ, MOST_FREQUENCIES, SLOWEST_HZ, CaptureError, Sidecar
 from model.capture.sidecar_files import load_sidecar
 from model.prediction.check_result import MeasurementCheck, WallFound, joined
 from model.prediction.measurement_files import read_measurement
 from scenegen import PathLike
+from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
 
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked
 _REFERENCE = "the reference: "
@@ -178,9 +179,13 @@ def _of_frames(
 
 def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
     measured = read_measurement(file)
-    if max(measured.frequencies_hz) < SLOWEST_HZ:
+    count, fastest_hz = len(measured.frequencies_hz), max(measured.frequencies_hz)
+    if count > MOST_FREQUENCIES:
+        raise CaptureError(f"{file} has {count} frequencies, and {MOST_FREQUENCIES} are the most")
+    if not SLOWEST_HZ <= fastest_hz <= FASTEST_HZ:
         given = ", ".join(f"{frequency_hz:g}" for frequency_hz in measured.frequencies_hz)
-        raise CaptureError(f"{file}: frequencies_hz is {given}: write Hz, not MHz")
+        unit = "Hz, not MHz" if fastest_hz < SLOWEST_HZ else f"Hz, at most {FASTEST_HZ:g}"
+        raise CaptureError(f"{file}: frequencies_hz is {given}: write {unit}")
     record = read_import_record(file)
     if record is not None and record.sidecar.frequencies_hz != measured.frequencies_hz:
         record = None  # somebody has edited it
@@ -190,6 +195,10 @@ def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
         raise CaptureError(
             f"{file} has no record of an import beside it, so its field of view is not known: give it by "
             "--fov, or give the sidecar of the raw frames"
+        )
+    if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
+        raise CaptureError(
+            f"no camera sees {fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g}"
         )
     facts = None if record is None else record.facts
     reference_facts = None if record is None else record.reference_facts

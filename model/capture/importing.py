@@ -19,7 +19,7 @@ from model.capture.sidecar import CaptureError
 from model.capture.sidecar_files import load_sidecar
 from model.prediction.measurement_files import measurement_of
 from model.prediction.measurement_process import FileContents
-from scenegen import PathLike, inside, sha256_of
+from scenegen import PathLike, inside, sha256_of, whole_file
 
 
 @dataclass(frozen=True)
@@ -96,19 +96,20 @@ def import_capture(
     measurement_of(out, contents)  # what prediction will say about it
     dark = [] if meaning.dark_file is None else [inside(folder, meaning.dark_file)]
     sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, dark)]
-    write_measurement(out, contents.arrays)
-    record = ImportRecord(
-        schema_version=1,
-        measurement_sha256=sha256_of(out),
-        inputs=sources[0],
-        empty_inputs=sources[1],
-        sidecar=meaning,
-        facts=capture.facts,
-        reference_facts=None if reference is None else reference.facts,
-        generator=f"night-eval capture import {version('night-nlos')}",
-        dark_inputs=sources[2],
-    )
-    write_import_record(out, record)
+    with whole_file(out) as partial:
+        write_measurement(partial, contents.arrays)
+        record = ImportRecord(
+            schema_version=1,
+            measurement_sha256=sha256_of(partial),
+            inputs=sources[0],
+            empty_inputs=sources[1],
+            sidecar=meaning,
+            facts=capture.facts,
+            reference_facts=None if reference is None else reference.facts,
+            generator=f"night-eval capture import {version('night-nlos')}",
+            dark_inputs=sources[2],
+        )
+        write_import_record(out, record)  # before the measurement, whose field of view it knows
     return ImportedCapture(capture, reference, out, record_path(out))
 
 

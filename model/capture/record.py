@@ -65,7 +65,12 @@ def write_import_record(measurement: Path, record: ImportRecord) -> None:
 
 def read_import_record(measurement: Path) -> ImportRecord | None:
     """The record beside a measurement file; None if there is none, or if it is that of another file."""
-    path = record_path(measurement)
+    record = _parsed(record_path(measurement))
+    return record if record is not None and record.measurement_sha256 == sha256_of(measurement) else None
+
+
+def _parsed(path: Path) -> ImportRecord | None:
+    """The record in a file; None if there is none."""
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
             return None
@@ -76,7 +81,7 @@ def read_import_record(measurement: Path) -> ImportRecord | None:
         record: ImportRecord = checked(TypeAdapter(ImportRecord), text, str(path), CaptureError)
     except NightError:
         return None
-    return record if record.measurement_sha256 == sha256_of(measurement) else None
+    return record
 
 
 def imported_fov_deg(measurement: Path) -> float | None:
@@ -93,7 +98,11 @@ def refuse_foreign(measurement: Path) -> None:
     CaptureError : there is a measurement file without its record, or another file where the record goes.
     """
     there = [path for path in (measurement, record_path(measurement)) if path.exists() or path.is_symlink()]
-    if there and (not measurement.is_file() or read_import_record(measurement) is None):
+    if measurement.is_file():
+        ours = read_import_record(measurement)
+    else:  # a killed import leaves the record of a measurement that is not there
+        ours = _parsed(record_path(measurement)) if there == [record_path(measurement)] else None
+    if there and ours is None:
         raise CaptureError(
             f"{there[0]} is there and is not what an import wrote: give another name to --out, or move it "
             "away"

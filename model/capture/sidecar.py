@@ -13,7 +13,8 @@ from scenegen import NightError
 from scenegen.contract import STRICT, FieldOfView
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
-SLOWEST_HZ = 1e4  # no camera modulates below
+SLOWEST_HZ, FASTEST_HZ = 1e4, 1e10  # no camera modulates below or above
+MOST_FREQUENCIES = 16
 _LARGEST_ANGLE = 4 * np.pi  # of a phase step in radians; 90, 180 and 270 are degrees
 _FEW_BITS = 8
 TOO_COARSE: Final = (
@@ -28,6 +29,7 @@ Names = Annotated[tuple[Name, ...], Field(max_length=256)]
 Angles = Annotated[tuple[float, ...], Field(max_length=64)]
 Count = Annotated[int, Field(ge=1, le=64)]
 Number = Annotated[float, Field(gt=0, le=1e12)]
+Frequency = Annotated[float, Field(gt=0, le=FASTEST_HZ)]
 Seconds = Annotated[float, Field(ge=1e-12, le=1e6)]
 Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
 Distortion = Annotated[float, Field(ge=-1e3, le=1e3)]
@@ -113,7 +115,7 @@ class Sidecar:
     layout: Layout
     arrays: Annotated[Names, Field(min_length=1)]
     axes: Annotated[tuple[Axis, ...], Field(min_length=2, max_length=6)]
-    frequencies_hz: Annotated[tuple[Number, ...], Field(min_length=1, max_length=16)]
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_FREQUENCIES)]
     horizontal_fov_deg: FieldOfView
     amplitude_arrays: Names = ()
     imaginary_arrays: Names = ()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from pydantic import TypeAdapter
 
 from model.capture.sidecar import CaptureError, Sidecar
 from scenegen import PathLike, read_settings
-from scenegen.contract import checked
+from scenegen.contract import checked_data
 
 KIND: Final = "captures"  # folder of data/
 
@@ -40,8 +39,7 @@ def load_sidecar(name_or_file: PathLike, changes: Sequence[str] = ()) -> tuple[S
         data = {**read_settings(KIND, base)[0], **data}
     for change in changes:
         data |= _changed(change)
-    text = json.dumps(data, default=str)
-    sidecar: Sidecar = checked(TypeAdapter(Sidecar), text, origin, CaptureError)
+    sidecar: Sidecar = checked_data(TypeAdapter(Sidecar), data, origin, CaptureError)
     return sidecar, Path(origin).parent
 
 

@@ -210,8 +210,10 @@ def _corner_of(measurement: Measurement) -> NDArray[np.complexfloating[Any, Any]
 def _pair(
     folder: Path, measurement: Measurement, mirror: Measurement, wall: ExpectedWall, region: Region
 ) -> Pair:
-    if not measurement.phasors.any():
-        raise MirrorError(f"{folder}: the measurement holds no light: capture it again")
+    lit = measurement.phasors.any(axis=(0, 1, 2))  # (F,)
+    if not lit.all():
+        dark = " and ".join(f"{f / 1e6:g}" for f in np.array(measurement.frequencies_hz)[~lit])
+        raise MirrorError(f"{folder}: the measurement holds no light at {dark} MHz: capture it again")
     try:
         corner, hz = _corner_of(measurement), measurement.frequencies_hz
         truth = truth_of_mirror(mirror.phasors.mean(axis=0), corner, wall, region, hz)
@@ -243,6 +245,8 @@ def _write_images(
         turn = without / with_errors * np.abs(with_errors[..., :1])
         phasor = phasor * turn / np.where(seen, np.abs(direct[..., :1]), 1)
     bright = float(np.abs(phasor[..., 0]).mean())
+    if not bright > 0:
+        raise MirrorError(f"{pair.measurement.path} has no light where it sees the wall: capture it again")
     phasor = phasor * (float(np.abs(direct[..., 0]).mean()) / bright)
     folder.mkdir(parents=True)
     source = {"source": str(pair.measurement.path.name)}

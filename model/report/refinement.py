@@ -27,7 +27,7 @@ from model.report.refusals import (
 )
 from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
-from scenegen import Dataset, PathLike, Preset, Split, whole_file, write_text
+from scenegen import Dataset, PathLike, Preset, Split, is_partial, whole_file, write_text
 from scenegen.progress import showing_progress
 
 RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
@@ -152,11 +152,11 @@ def _prepare(out: Path, recipe: Recipe) -> None:
                 f"{out} holds results of another run, of its earlier weights, of another dataset or of other "
                 "options: choose another --out, or delete it"
             )
-        return
-    if out.exists() and any(out.iterdir()):
-        raise EvaluationError(f"{out} holds other files: choose another --out")
-    (out / SCENES_FOLDER).mkdir(parents=True, exist_ok=True)
-    write_text(file, json.dumps(asdict(recipe), indent=2) + "\n")
+    else:
+        if out.exists() and not all(is_partial(each.name) for each in out.iterdir()):
+            raise EvaluationError(f"{out} holds other files: choose another --out")
+        write_text(file, json.dumps(asdict(recipe), indent=2) + "\n")
+    (out / SCENES_FOLDER).mkdir(exist_ok=True)
 
 
 def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from scenegen import NightError, inside
 from scenegen.files.locks import is_same_file, lock, open_lock_file
+from scenegen.files.plain_file import read_plain
 
 _CLAIMS, _RUN, _NOTE = ".claims", ".run", ".note"
 _MOST_RUNS, _MOST_BYTES = 16, 4096  # of a claim file: runs whose attempts it counts, and its size
@@ -73,7 +74,7 @@ def claimed(renders: Path, scene_id: str) -> Iterator[Claim | None]:
 def attempts_of(renders: Path, scene_id: str, run_id: str) -> int:
     """How often a run has begun a scene that is not done yet."""
     try:
-        return _counts((renders / _CLAIMS / scene_id).read_bytes()).get(run_id, 0)
+        return _counts(read_plain(renders / _CLAIMS / scene_id, _MOST_BYTES)).get(run_id, 0)
     except OSError:
         return 0
 

@@ -131,7 +131,7 @@ def read_status(dataset: Dataset, settings: RenderSettings, scenes: Sequence[str
         used += sum(file.bytes for file in record.files.values())
         with suppress(FileNotFoundError):  # another command may be rendering it again
             times.append((folder / RECORD_FILE).stat().st_mtime)
-    now_running = running(dataset.renders)
+    now_running = [scene_id for scene_id in running(dataset.renders) if scene_id in states]
     return Status(
         counts=Counter(states.values()),
         running=now_running,

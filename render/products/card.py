@@ -47,7 +47,8 @@ def read_card(dataset: Dataset) -> EarlierCard:
         licence = json.loads(mark["licence"]) if mark else None
     except (ValueError, RecursionError):
         licence = None
-    return EarlierCard(is_ours=mark is not None, licence=licence if isinstance(licence, str) else None)
+    is_text = isinstance(licence, str) and licence.isprintable()
+    return EarlierCard(is_ours=mark is not None, licence=licence if is_text else None)
 
 
 def checked_licence(licence: str) -> str:

@@ -96,7 +96,7 @@ def export_dataset(
             except RefusedSceneError as refusal:
                 if not partial:
                     raise _with_advice(refusal) from None
-                left_out[scene_id] = refusal
+                left_out[scene_id] = refusal.without_frames()
             on_scene()
         left_out = dict(sorted(left_out.items()))
         if not rows.entries:

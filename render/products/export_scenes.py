@@ -46,6 +46,11 @@ class RefusedSceneError(ExportError):
         super().__init__(f"scene {scene_id}: {problem.removeprefix(f'scene {scene_id}: ')}")
         self.reason = reason
 
+    def without_frames(self) -> RefusedSceneError:
+        """The same error without its traceback, which would keep the images of the scene in memory."""
+        self.__context__ = self.__cause__ = None
+        return self.with_traceback(None)
+
 
 @dataclass(frozen=True)
 class ExportedScene:

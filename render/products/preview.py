@@ -23,7 +23,9 @@ from render.products.distributions import distributions_figure, read_distributio
 from render.products.tiles import PICTURE_SIZE, read_tile
 from render.settings import RenderError
 from scenegen import Dataset, NightError, Scene, inside, rotation_matrix, whole_file, write_text
+from scenegen.files.plain_file import read_plain
 from scenegen.making.meshes import UserMesh
+from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.shapes import MESH_PREFIX
 from scenegen.triangles import scene_triangles
 
@@ -96,8 +98,10 @@ def _refuse_other_pictures(dataset: Dataset) -> None:
         file = inside(dataset.root, name)
         if not file.exists():
             continue
-        with file.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
+        head = b""
+        if file.is_file():
+            with file.open("rb") as stream:
+                head = stream.read(_HEAD_BYTES)
         if b"Software\0Matplotlib" not in head:
             raise CardError(
                 f"{file} is not a picture that night-gen preview wrote and would be replaced: rename it"
@@ -123,7 +127,7 @@ def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
                 continue
             file = inside(dataset.scene_folder(scene_id), f"hidden_object_{number}.ply")
             try:
-                vertices, triangles = scene_triangles(file.read_bytes(), str(file))
+                vertices, triangles = scene_triangles(read_plain(file, MOST_FILE_BYTES), str(file))
             except (OSError, NightError) as error:
                 raise RenderError(f"{file} cannot be read ({error}): run night-gen scenes again") from None
             local = (vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m

@@ -132,4 +132,5 @@ def _title(dataset: Dataset, scene: Scene) -> str:
 def class_name(object_class: str) -> str:
     """An object class as a label in a figure, at most 24 characters."""
     name = object_class.rsplit("/", 1)[-1].replace("_", " ")
-    return name if len(name) <= 24 else name[:23] + "…"
+    short = name if len(name) <= 24 else name[:23] + "…"
+    return short.replace("$", r"\$")  # Matplotlib would read a formula

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from itof import WIDEST_REACH_BINS, TransientLayout, pixel_rays
 from render.settings import RenderError
 from scenegen import Dataset, NightError, Scene, camera_axes, inside, rotation_matrix, wall_normal
+from scenegen.files.plain_file import read_plain
 from scenegen.mitsuba_description import hidden_names
+from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.triangles import scene_triangles
 
 _MOST_TRIANGLES = 200_000  # looked at again in finer parts
@@ -98,7 +100,7 @@ def _object_triangles(dataset: Dataset, scene: Scene) -> NDArray[np.float64]:
     for name in hidden_names(scene):
         file = inside(dataset.scene_folder(scene.id), f"{name}.ply")
         try:
-            vertices, triangles = scene_triangles(file.read_bytes(), str(file))
+            vertices, triangles = scene_triangles(read_plain(file, MOST_FILE_BYTES), str(file))
         except (OSError, NightError) as error:
             raise RenderError(f"{file} cannot be read ({error}): run night-gen scenes again") from None
         found.append(vertices[triangles].astype(np.float64))

@@ -1,0 +1,62 @@
+"""Pipes in the place of files, and text of files that would command a terminal, in a stranger's dataset."""
+
+import json
+import os
+
+import pytest
+from night_commands import refusal
+
+from commandline.results import tell
+from render.farm.claims import attempts_of
+from scenegen import read_rendering_record
+from scenegen.files.plain_file import read_plain
+
+
+def pipe_at(path):
+    path.unlink(missing_ok=True)
+    path.parent.mkdir(exist_ok=True)
+    os.mkfifo(path)
+
+
+def test_a_plain_file_is_read_and_nothing_else(tmp_path):
+    file = tmp_path / "file"
+    file.write_bytes(b"12345")
+    assert read_plain(file, 5) == b"12345"
+    with pytest.raises(OSError, match="it has 5 bytes, more than 4"):
+        read_plain(file, 4)
+    pipe_at(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", "/dev/zero"):
+        with pytest.raises(OSError, match="it is no plain file"):
+            read_plain(path, 5)
+
+
+def test_pipes_among_the_files_of_a_run_are_not_waited_for(tmp_path):
+    pipe_at(tmp_path / ".claims" / "000000")
+    assert attempts_of(tmp_path, "000000", "run") == 0
+    assert read_rendering_record(tmp_path) is None
+    pipe_at(tmp_path / "rendering.json")
+    with pytest.raises(OSError, match="it is no plain file"):
+        read_rendering_record(tmp_path)
+
+
+def test_a_pipe_for_the_record_of_the_renders_is_named(pipeline_copy):
+    file = pipeline_copy / "data" / "renders" / "rendering.json"
+    pipe_at(file)
+    assert refusal("night-render", "status", pipeline_copy / "data").startswith(
+        f"{file}: it is no plain file"
+    )
+
+
+def test_a_class_with_control_characters_is_refused(pipeline_copy):
+    file = pipeline_copy / "data" / "dataset.json"
+    index = json.loads(file.read_text())
+    index["scenes"][1]["object_class"] = "cube\x1b]0;title\x07"
+    file.write_text(json.dumps(index))
+    assert "scenes.1.object_class: String should match pattern" in refusal(
+        "night-render", "status", pipeline_copy / "data"
+    )
+
+
+def test_text_of_files_commands_no_terminal(capsys):
+    tell(["failed: 000001: \x1b]0;title\x07\nsecond line"], {}, False)
+    assert capsys.readouterr().out == "failed: 000001: \\x1b]0;title\\x07\nsecond line\n"
