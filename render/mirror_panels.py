@@ -116,17 +116,20 @@ def _lit_by_the_sky(description: Description, scene: Scene, size: tuple[int, int
 
     sensor = dict(description["sensor"])
     sensor["film"] = {**sensor["film"], "width": size[0], "height": size[1]}
-    sky = {"type": "envmap", "bitmap": mi.Bitmap(_half_sky(_along_the_wall(scene)))}
+    sky = {"type": "envmap", "bitmap": mi.Bitmap(_half_sky(_along_the_wall(scene, size)))}
     parts = {name: part for name, part in description.items() if name not in ("emitter", "integrator")}
     return {**parts, "sensor": sensor, _SKY_NAME: sky}
 
 
-def _along_the_wall(scene: Scene) -> NDArray[np.float64]:
-    """(3,) the camera's direction of view, projected on the relay wall; its mirror image has the same."""
+def _along_the_wall(scene: Scene, size: tuple[int, int]) -> NDArray[np.float64]:
+    """(3,) the camera's direction of view, projected on the relay wall; its mirror image has the same.
+
+    `size` is that of the picture, pixels.
+    """
     axes, normal = camera_axes(scene.camera), wall_normal(scene.relay_wall)
     along = axes[2] - (axes[2] @ normal) * normal
-    camera, length = scene.camera, float(np.linalg.norm(along))
-    rays = pixel_rays(camera.width, camera.height, camera.horizontal_fov_deg) @ axes
+    length = float(np.linalg.norm(along))
+    rays = pixel_rays(*size, scene.camera.horizontal_fov_deg) @ axes
     if length < _STRAIGHT or (rays @ along).min() <= 0:
         raise RenderError(
             f"scene {scene.id}: the camera looks straight at the relay wall, or nearly so, and would see its "

@@ -160,4 +160,4 @@ def test_rounding_is_no_direction_along_the_wall(wall_deg):
     towards = camera_axes(straight.camera)[2] @ wall_normal(straight.relay_wall)
     assert abs(towards) == pytest.approx(1, abs=1e-12)
     with pytest.raises(RenderError, match="looks straight at the relay wall"):
-        _along_the_wall(straight)
+        _along_the_wall(straight, (320, 240))
