@@ -79,7 +79,7 @@ def _chosen_settings(
     except PresetError:
         model.settings_from_dict(without, origin)  # its own fault, if it has one
         settings = model.settings_from_dict(without | given, "options")
-    idle = sorted(given.keys() & settings.idle)
+    idle = sorted(name for name in given.keys() & settings.idle if given[name] != without.get(name))
     if idle:
         option = idle[0].replace("_", "-")
         raise click.UsageError(f"--{option} changes nothing with target {settings.target}: leave it out")

@@ -265,7 +265,7 @@ def _refuse_unlike(scene: Scene, dataset: Dataset) -> None:
     if seen.width * camera.height != seen.height * camera.width:
         raise RenderError(
             f"scene {scene.id}: its camera has {seen.width}x{seen.height} pixels, another shape than the "
-            f"{camera.width}x{camera.height} of the dataset: correct one of them"
+            f"{camera.width}x{camera.height} of the dataset: change the camera in scene.json"
         )
 
 

@@ -29,9 +29,9 @@ Extent = tuple[Length, Length, Length]
 Location = tuple[Metres, Metres, Metres]
 Rotation = tuple[Degrees, Degrees, Degrees]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
-ClassName = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$")]  # a shape, or the name of a mesh's file
+ClassName = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]  # a shape, or a mesh's file
 Roughness = Annotated[float, Field(gt=0, le=1)]
-MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0
+MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0  # also least of an image that is imported
 FieldOfView = Annotated[float, Field(ge=MIN_FOV_DEG, le=MAX_FOV_DEG)]  # degrees
 _MOST_CHARACTERS = 100  # of a value in a message
 # What a value must be, by pydantic's name of the problem, where its own words name types of Python.
@@ -50,6 +50,13 @@ _WANTED = {
 
 class ContractError(NightError):
     """A file whose contents break its contract: not JSON, an unknown or missing key, an impossible value."""
+
+
+def fov_problem(fov_deg: float) -> str | None:
+    """Why no camera has this horizontal field of view, degrees, as a sentence; None if one may have it."""
+    if MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
+        return None
+    return f"no camera sees {fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g}"
 
 
 def checked(

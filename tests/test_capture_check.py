@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from captures import raw_of, sidecar_of, steps, taps_of, write_sidecar
+from kill_points import killed_before
 from measurements import write_npz
 from night_commands import night_here, refusal
 from wall_measurements import FOV_DEG, FREQUENCIES_HZ, SLANTED, exchanged, moved, noise, wall_of_plane
@@ -14,6 +15,8 @@ from model.capture.capture import ImageShape, capture_of
 from model.capture.checking import check_capture
 from model.capture.facts import milliradians
 from model.capture.image_check import check_image
+from model.capture.importing import import_capture
+from model.capture.record import imported_fov_deg
 from model.capture.sidecar import CaptureError
 
 WALL = wall_of_plane()
@@ -195,6 +198,20 @@ def test_raw_frames_become_a_measurement_that_is_checked(frames):
     np.savez(frames / "mine.npz", a=1)
     assert "is there and is not what an import wrote" in refusal(*again, frames / "mine.npz")
     assert "must end in .npz, .h5, .hdf5" in refusal(*again, frames / "corner.txt")
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_an_import_that_is_killed_at_any_moment_can_be_repeated(frames, number):
+    out = frames / "there" / "corner.npz"
+    sidecar, files = frames / "sidecar.toml", (frames / "frames.npz", frames / "empty.npz")
+    import_capture(files[0], sidecar, out, bin_side=2, progress=False)
+    killed_before(
+        *(number, {"os.rename", "os.remove"}),
+        lambda: import_capture(files[1], sidecar, out, bin_side=2, progress=False),
+        below=out.parent,
+    )
+    import_capture(files[0], sidecar, out, bin_side=2, progress=False)
+    assert imported_fov_deg(out) is not None
 
 
 def test_a_capture_that_shows_no_wall_ends_with_exit_code_2_and_a_picture(frames):

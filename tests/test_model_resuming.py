@@ -156,6 +156,16 @@ def test_a_training_ignores_a_signal_that_its_process_ignores():
         signal.signal(signal.SIGINT, before)
 
 
+def test_a_signal_in_the_middle_of_a_write_is_noted(monkeypatch):
+    def fail(*_):
+        raise RuntimeError("reentrant call inside a write")
+
+    monkeypatch.setattr("model.training.interruption._log.info", fail)
+    with Interruption() as interruption:
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert interruption.signal == signal.SIGTERM
+
+
 def test_a_training_that_is_asked_to_stop_while_it_validates_goes_on_there(
     closed_form_scenes, whole, tmp_path
 ):

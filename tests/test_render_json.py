@@ -9,6 +9,8 @@ from night_commands import night_here, refusal
 from render_runs import SETTINGS
 from source_tree import ROOT
 
+from render.farm.claims import claimed
+
 RUN = {
     *("renders", "rendered", "present", "failed", "skipped_failures", "failures", "settings", "plan"),
     "hidden_error_max",
@@ -73,6 +75,13 @@ def test_the_status_as_json(three_missing):
     assert (found["scenes"], found["done"], found["missing"], found["failed"]) == (7, 4, 3, 0)
     assert (found["running"], found["scenes_per_hour"], found["seconds_left"]) == ([], None, None)
     assert "7 scenes: 4 done" in done.stderr
+
+
+def test_the_status_of_some_scenes_counts_only_those(three_missing):
+    with claimed(three_missing / "renders", "000004"):
+        for scene_id, running in (("000004", ["000004"]), ("000005", [])):
+            done = night_here("night-render", "status", three_missing, "--only", scene_id, "--json")
+            assert result(done)["running"] == running
 
 
 def test_a_verification_as_json_keeps_its_exit_code(rendered_copy):

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from model.capture.sidecar import CaptureError
-from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
+from scenegen.contract import MIN_FOV_DEG, fov_problem
 
 LONGEST_SIDE: Final = 2**14  # of a sensor, pixels; those of iToF cameras have up to 2**11
-LEAST_FOV_DEG: Final = 1.0  # of an image: what the record of an import takes
 _LEAST_PART = 1e-9  # of a sensor pixel
 _PLANE = ((0, 0), (1, 0), (0, 1))  # powers of row and column
 _ROUNDING = 1e-9  # of a bin's side
@@ -75,11 +74,9 @@ class Binning:
             )
         if bin_side is not None and bin_side < 1:
             raise CaptureError(f"a bin has a side of at least one pixel, not {bin_side}")
-        if wanted_fov_deg is not None and not MIN_FOV_DEG <= wanted_fov_deg <= MAX_FOV_DEG:
-            raise CaptureError(
-                f"no camera sees {wanted_fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to "
-                f"{MAX_FOV_DEG:g}"
-            )
+        problem = None if wanted_fov_deg is None else fov_problem(wanted_fov_deg)
+        if problem:
+            raise CaptureError(problem)
         if size is None:
             whole = bin_side or 1
             size = (width // whole, height // whole)
@@ -93,10 +90,10 @@ class Binning:
             )
         if wanted_fov_deg is not None:
             found = found._cut(fov_deg, wanted_fov_deg)
-        if found.fov_deg(fov_deg) < LEAST_FOV_DEG:
+        if found.fov_deg(fov_deg) < MIN_FOV_DEG:
             raise CaptureError(
                 f"images of {size[0]}x{size[1]} pixels would be {found.fov_deg(fov_deg):.2g} degrees wide, "
-                f"and {LEAST_FOV_DEG:g} degree is the least: choose a wider image"
+                f"and {MIN_FOV_DEG:g} degree is the least: choose a wider image"
             )
         return found
 

@@ -25,7 +25,7 @@ from model.capture.sidecar_files import load_sidecar
 from model.prediction.check_result import MeasurementCheck, WallFound, joined
 from model.prediction.measurement_files import read_measurement
 from scenegen import PathLike
-from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
+from scenegen.contract import fov_problem
 
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked
 _REFERENCE = "the reference: "
@@ -196,10 +196,9 @@ def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
             f"{file} has no record of an import beside it, so its field of view is not known: give it by "
             "--fov, or give the sidecar of the raw frames"
         )
-    if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
-        raise CaptureError(
-            f"no camera sees {fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g}"
-        )
+    problem = fov_problem(fov_deg)
+    if problem:
+        raise CaptureError(problem)
     facts = None if record is None else record.facts
     reference_facts = None if record is None else record.reference_facts
     names = (measured.phasors, measured.frequencies_hz, measured.reference)

@@ -96,7 +96,8 @@ def import_capture(
     measurement_of(out, contents)  # what prediction will say about it
     dark = [] if meaning.dark_file is None else [inside(folder, meaning.dark_file)]
     sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, dark)]
-    with whole_file(out) as partial:
+    # The record, which knows the field of view of the measurement, is there before it.
+    with whole_file(out) as partial, whole_file(record_path(out)) as beside:
         write_measurement(partial, contents.arrays)
         record = ImportRecord(
             schema_version=1,
@@ -109,7 +110,8 @@ def import_capture(
             generator=f"night-eval capture import {version('night-nlos')}",
             dark_inputs=sources[2],
         )
-        write_import_record(out, record)  # before the measurement, whose field of view it knows
+        write_import_record(beside, record)
+        out.unlink(missing_ok=True)  # an earlier import, which would not fit the new record
     return ImportedCapture(capture, reference, out, record_path(out))
 
 

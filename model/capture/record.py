@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from model.capture.facts import CaptureFacts
 from model.capture.sidecar import CaptureError, Sidecar
-from scenegen import NightError, sha256_of, write_text
+from scenegen import NightError, sha256_of
 from scenegen.contract import STRICT, checked
 
 SCHEMA: Final = 1
@@ -58,9 +58,9 @@ def record_path(measurement: Path) -> Path:
     return measurement.with_name(f"{measurement.name}.json")
 
 
-def write_import_record(measurement: Path, record: ImportRecord) -> None:
-    """Write the record beside the measurement file."""
-    write_text(record_path(measurement), json.dumps(asdict(record), indent=2, allow_nan=False) + "\n")
+def write_import_record(partial: Path, record: ImportRecord) -> None:
+    """Write the record to a temporary file."""
+    partial.write_text(json.dumps(asdict(record), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_import_record(measurement: Path) -> ImportRecord | None:

@@ -24,7 +24,7 @@ from model.prediction.wall_figure import wall_figure
 from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
 from scenegen import NightError, PathLike, whole_folder, write_text
-from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
+from scenegen.contract import fov_problem
 from scenegen.files.own_files import hashes_of, refuse_other_files
 from scenegen.progress import showing_progress
 
@@ -181,11 +181,9 @@ def predict_file(
 
 def _refuse_other_view(predictor: Predictor, horizontal_fov_deg: float, run: Path, force: bool) -> None:
     """Refuse a camera that cannot be, and one whose field of view the training has not seen."""
-    if not MIN_FOV_DEG <= horizontal_fov_deg <= MAX_FOV_DEG:
-        raise MeasurementError(
-            f"no camera sees {horizontal_fov_deg:g} degrees: the field of view is {MIN_FOV_DEG:g} to "
-            f"{MAX_FOV_DEG:g}"
-        )
+    problem = fov_problem(horizontal_fov_deg)
+    if problem:
+        raise MeasurementError(problem)
     least_deg, most_deg = predictor.config.trained_views_deg
     if least_deg - _SAME_DEG <= horizontal_fov_deg <= most_deg + _SAME_DEG or force:
         return

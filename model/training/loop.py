@@ -101,7 +101,7 @@ def train(
         `checkpoint_minutes` may differ from the settings of the run.
     start_from : run folder of a trained network, whose best weights the training starts from (fine-tuning).
         `settings` must have its network and input (`fine_tuning_settings`); the constants of its input
-        channels are kept. A resumed run no longer needs this folder.
+        channels are kept, except the largest shift of the wall. A resumed run no longer needs this folder.
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
         (`model.data.order`). A resumed run keeps the windows of its start.
@@ -141,6 +141,9 @@ def _train(
     before = read_config(out) if resume else None
     if processes.is_first:
         remove_leftovers(out)
+        if before is None:  # of a fine-tuning that was killed before it had a run.json
+            for name in (CHECKPOINT_FILE, HISTORY_FILE):
+                (out / name).unlink(missing_ok=True)
     with processes.first_one_first():
         shown = settings.progress and processes.is_first
         shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
@@ -189,7 +192,7 @@ def _removed_on_failure(files: Sequence[Path]) -> Iterator[None]:
     """Remove `files` if a run cannot begin, because a folder with other files is no place for a new one."""
     try:
         yield
-    except BaseException:  # also Ctrl-C
+    except RunError:
         for file in files:
             file.unlink(missing_ok=True)
         raise
@@ -206,6 +209,8 @@ def _configure(
         elif start:
             inputs = start.inputs(dataset, manifest.frequencies_hz)
             if inputs.shows_wall:
+                if settings.progress:
+                    _log.info("fitting the wall of the training scenes")
                 shift_m = largest_shift_m(inputs, shards, rows, wall_view(dataset))
                 inputs = replace(inputs, largest_shift_m=shift_m)
         else:

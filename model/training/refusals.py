@@ -113,8 +113,12 @@ def _is_free(out: Path) -> bool:
     names = {entry.name for entry in out.iterdir() if not is_partial(entry.name)}
     if not names <= {LOCK_FILE, HISTORY_FILE, CHECKPOINT_FILE}:
         return False
-    # A fine-tuning writes history and checkpoint before run.json.
-    return not any(read_history(out).values()) if HISTORY_FILE in names else CHECKPOINT_FILE not in names
+    if not (out / HISTORY_FILE).is_file():
+        return not names & {HISTORY_FILE, CHECKPOINT_FILE}
+    try:  # a fine-tuning writes history and checkpoint before run.json
+        return not any(read_history(out).values())
+    except RunError:
+        return False
 
 
 @contextmanager

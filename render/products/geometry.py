@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from itof import pixel_rays
 from scenegen import Dataset, camera_axes, wall_normal
+from scenegen.files.plain_file import read_plain
+from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.triangles import scene_triangles
 
 
@@ -50,7 +52,7 @@ def traced_depth_m(
 
 def _triangles(file: Path) -> NDArray[np.float64]:
     """(M, 3, 3) corners of a mesh file's triangles."""
-    vertices, triangles = scene_triangles(file.read_bytes(), str(file))
+    vertices, triangles = scene_triangles(read_plain(file, MOST_FILE_BYTES), str(file))
     return vertices[triangles].astype(np.float64)
 
 

@@ -129,7 +129,8 @@ def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
             try:
                 vertices, triangles = scene_triangles(read_plain(file, MOST_FILE_BYTES), str(file))
             except (OSError, NightError) as error:
-                raise RenderError(f"{file} cannot be read ({error}): run night-gen scenes again") from None
+                why = error.strerror if isinstance(error, OSError) else error
+                raise RenderError(f"{file} cannot be read ({why}): run night-gen scenes again") from None
             local = (vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
             meshes[part.shape] = UserMesh(
                 vertices=np.asarray(local, np.float32),

@@ -102,7 +102,8 @@ def _object_triangles(dataset: Dataset, scene: Scene) -> NDArray[np.float64]:
         try:
             vertices, triangles = scene_triangles(read_plain(file, MOST_FILE_BYTES), str(file))
         except (OSError, NightError) as error:
-            raise RenderError(f"{file} cannot be read ({error}): run night-gen scenes again") from None
+            why = error.strerror if isinstance(error, OSError) else error
+            raise RenderError(f"{file} cannot be read ({why}): run night-gen scenes again") from None
         found.append(vertices[triangles].astype(np.float64))
     return np.concatenate(found)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from errno import EFBIG, EINVAL
+from errno import EINVAL
 from pathlib import Path
 
 
@@ -21,5 +21,5 @@ def read_plain(file: Path, most_bytes: int) -> bytes:
         if not stat.S_ISREG(found.st_mode):
             raise OSError(EINVAL, "it is no plain file", str(file))
         if found.st_size > most_bytes:
-            raise OSError(EFBIG, f"it has {found.st_size} bytes, more than {most_bytes}", str(file))
+            raise OSError(EINVAL, f"it has {found.st_size} bytes, more than {most_bytes}", str(file))
         return stream.read(most_bytes)
