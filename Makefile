@@ -51,7 +51,7 @@ demo: setup
 	$(BIN)/night-train $(DEMO)/dataset --out $(DEMO)/run --preset demo $(if $(wildcard $(DEMO)/run/run.json),--resume)
 	$(BIN)/night-eval $(DEMO)/run $(DEMO)/dataset --split test --out $(DEMO)/report
 
-# night-80x60, judged on 269 new scenes of a seed of your own: `make judge SEED=4711` (we have used 7, 23, 123, 20261124).
+# night-80x60, judged on 269 new scenes of a seed of your own: `make judge SEED=31415` (docs/accuracy.md: those we used).
 judge: setup
 	$(BIN)/night-gen scenes $(JUDGE) --preset judge --seed $(SEED)
 	$(BIN)/night-render $(JUDGE) --product itof --resolution 80x60 --workers 2
