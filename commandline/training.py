@@ -65,6 +65,7 @@ def _chosen_settings(
     that one, not those of the preset.
     """
     import model
+    from model.idle_settings import IDLE
 
     before = model.run_settings(out) if resume else {}
     named = preset or (None if resume else "default")
@@ -79,7 +80,7 @@ def _chosen_settings(
     except PresetError:
         model.settings_from_dict(without, origin)  # its own fault, if it has one
         settings = model.settings_from_dict(without | given, "options")
-    idle = sorted(name for name in given.keys() & settings.idle if given[name] != without.get(name))
+    idle = sorted(name for name in given.keys() & IDLE[settings.target] if given[name] != without.get(name))
     if idle:
         option = idle[0].replace("_", "-")
         raise click.UsageError(f"--{option} changes nothing with target {settings.target}: leave it out")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from math import log2
 from pathlib import Path
@@ -52,12 +51,6 @@ READOUT_SETTINGS = (
     *("loss", "smooth_l1_beta"),
     *("mask_from", "mask_gradient", "mask_threshold", "mask_depth_m", "dead_zone"),
 )
-# Settings that change nothing, by what the network predicts.
-_IDLE: Mapping[Target, tuple[str, ...]] = {
-    "components": ("smooth_l1_beta",),
-    "depth": ("smooth_l1_beta", "loss_on", "mask_from", "mask_gradient"),
-    "mask+depth": ("loss_on", "alpha", "balance", "mask_from", "mask_gradient", "mask_depth_m", "dead_zone"),
-}
 STARTING_SETTINGS = (*NETWORK_SETTINGS, *READOUT_SETTINGS, "optimiser")
 MOST_MULTIPLE = 1024  # pixels: the U-Net enlarges images to a multiple of blocks, halved at every level
 NotNegative = Annotated[float, Field(ge=0)]
@@ -209,11 +202,6 @@ class TrainSettings:
     def predicts_probability(self) -> bool:
         """Whether the amplitude of a predicted phasor is the probability of an object pixel."""
         return self.target == "mask+depth"
-
-    @property
-    def idle(self) -> frozenset[str]:
-        """Names of the settings that change nothing, because of `target`."""
-        return frozenset(_IDLE[self.target])
 
     def for_images(self, width: int) -> TrainSettings:
         """These settings with the number for which a block of 0 stands, for images of so many pixels.

@@ -56,11 +56,13 @@ def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
         raise RunError(
             f"{folder} has no best.safetensors: no epoch was finished; resume it with night-train --resume"
         )
+    least, network = _least_bytes(config), None
     try:
-        _refuse_small(file, config)  # before a network that run.json alone calls large takes all memory
-        network = config.network()
-        size = sum(tensor.nbytes for tensor in network.state_dict().values())
-        content = read_at_most(file, size + _MOST_HEADER)
+        most = file.stat().st_size
+        if most >= least:  # or a network that run.json alone calls large would take all memory
+            network = config.network()
+            most = sum(tensor.nbytes for tensor in network.state_dict().values()) + _MOST_HEADER
+        content = read_at_most(file, most)
     except OSError as error:
         raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
     except ValueError as error:
@@ -72,18 +74,20 @@ def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
         weights = load(content)
     except Exception as error:  # whatever a library says of a file that somebody else made
         raise RunError(f"{file} is no safetensors file ({error}): {_AGAIN}") from None
+    if network is None:
+        raise RunError(
+            f"{file} holds weights of another architecture than run.json describes: it has {len(content)} "
+            f"bytes, at least {least} are needed"
+        )
     whole = {name: each.float() if each.dtype == torch.float16 else each for name, each in weights.items()}
     fill(network, whole, file)
     return network, content
 
 
-def _refuse_small(file: Path, config: RunConfig) -> None:
-    """`ValueError` if a file is too small for the network of `config`, even as 16 bit floats."""
+def _least_bytes(config: RunConfig) -> int:
+    """What the weights of a run take at least, as 16 bit floats."""
     settings = config.settings
-    least = 2 * least_weights(config.inputs.channel_count, settings.width, settings.levels, settings.block)
-    size = file.stat().st_size
-    if size < least:
-        raise ValueError(f"it has {size} bytes, at least {least} are needed")
+    return 2 * least_weights(config.inputs.channel_count, settings.width, settings.levels, settings.block)
 
 
 def refuse_other_label(content: bytes, file: Path, config: RunConfig, again: str) -> None:
