@@ -50,7 +50,7 @@ def test_a_fine_tuning_that_cannot_write_its_first_weights_can_begin_again(
     advice = rf"{run / file} cannot be written \(File too large\): free some space and start again"
     with file_size_limit(size), pytest.raises(RunError, match=advice):
         train(closed_form_scenes, run, settings(), start_from=finished_run)
-    assert not run.exists()
+    assert not (run / "run.json").exists()
     train(closed_form_scenes, run, settings(), start_from=finished_run)
     assert len(read_history(run)["epoch"]) == settings().max_epochs
 

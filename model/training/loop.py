@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -172,30 +170,18 @@ def _train(
             refuse_lost_checkpoint(before, out)
         if checkpoint and before and before.schema_version < RUN_SCHEMA:
             state.save(out)  # before run.json: beside one of schema 2, files of both versions are accepted
-        begun = [out / name for name in (CHECKPOINT_FILE, HISTORY_FILE)] if start else []
-        with _removed_on_failure(begun):
-            if start:
-                state.save(out, _AGAIN)  # before run.json: --resume never needs the other run
-            if processes.is_first:
-                if state.history:
-                    # A killed run may have left the files of a later epoch than that of its checkpoint.
-                    state.save_results(out)
-                with naming_disk(out / CONFIG_FILE, _AGAIN):
-                    write_config(out, config)
+        if start:
+            # Before run.json: --resume never needs the other run. Until then, the folder counts as free.
+            state.save(out, _AGAIN)
+        if processes.is_first:
+            if state.history:
+                # A killed run may have left the files of a later epoch than that of its checkpoint.
+                state.save_results(out)
+            with naming_disk(out / CONFIG_FILE, _AGAIN):
+                write_config(out, config)
         if not goes_on and not start:
             state.save(out, RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
         return _run(state, out)
-
-
-@contextmanager
-def _removed_on_failure(files: Sequence[Path]) -> Iterator[None]:
-    """Remove `files` if a run cannot begin, because a folder with other files is no place for a new one."""
-    try:
-        yield
-    except RunError:
-        for file in files:
-            file.unlink(missing_ok=True)
-        raise
 
 
 def _configure(
