@@ -131,8 +131,8 @@ def night_render() -> None:
     """Render what the camera measures of every scene in DATASET, or work on what is rendered.
 
     What is rendered is kept; an interrupted run goes on when it is started again, on one machine or several.
-    Settings that are not given are those the dataset was rendered with before. A dataset in a folder named
-    like one of the commands is given as ./status.
+    Settings that are not given are those the dataset was rendered with before. If the folder of a
+    dataset has the name of a command, such as status, write ./status.
     """
 
 

@@ -120,8 +120,9 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
     type=float,
     default=LARGEST_DIFFERENCE,
     show_default=True,
-    help="Where noise, or what is unexplained, is more than 1 % of the light: how many times the error that "
-    "the network expects an accepted fit may differ from its depth map.",
+    help="Largest mean difference of an accepted fit to the network's depth map, as a multiple of the MAE that "
+    "the network expects. It counts where noise, or light left unexplained, is more than 1 % of the hidden light "
+    "(or than --largest-misfit, if that is less).",
 )
 @click.option("--workers", type=COUNT, default=1, show_default=True, help="Processes that share the scenes.")
 @DEVICE

@@ -239,7 +239,7 @@ RENDER_RUN = options(
 MASK_THRESHOLD = click.option(
     "--mask-threshold",
     type=Number(min=0, min_open=True),
-    help="Amplitude from which on a pixel shows the object, instead of the run's.",
+    help="Smallest amplitude of a pixel that shows the object, instead of the run's.",
 )
 MASK_FROM = click.option(
     "--mask-from",
