@@ -58,7 +58,7 @@ def _split(words: str) -> Callable[[_Command], _Command]:
     "--each-imperfection",
     is_flag=True,
     default=None,
-    help="With --sensor: each imperfection of the camera alone, and all but it.",
+    help="With --sensor: each imperfection of the camera alone, and all but it; at one number of exposures.",
 )
 @click.option("--first", type=COUNT, help="With --sensor: judge the first so many scenes only.")
 @DEVICE
@@ -70,10 +70,11 @@ def judge(run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, **opt
     given = {name: value for name, value in options.items() if value not in (None, ())}
     _refuse_mixed(given, behind_camera=sensor is not None)
     if sensor is not None:
+        numbers = out.resolve() / "exposures.json"  # the folder "." is another one afterwards
         found = model.judge_exposures(run, open_dataset(dataset), out, sensor, **given)
-        tell([found.table, f"all numbers in {out}"], out.resolve() / "exposures.json", as_json)
+        tell([found.table, f"all numbers in {out}"], numbers, as_json)
         return
-    metrics = out.resolve() / "metrics.json"  # the folder "." is another one afterwards
+    metrics = out.resolve() / "metrics.json"
     report = model.evaluate(run, open_dataset(dataset), out, **given)
     look = f"look at {out / 'index.html'}; figures and point clouds are beside it"
     tell([report.table, look], metrics, as_json)
@@ -120,9 +121,9 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
     type=float,
     default=LARGEST_DIFFERENCE,
     show_default=True,
-    help="Largest mean difference of an accepted fit to the network's depth map, as a multiple of the MAE that "
-    "the network expects. It counts where noise, or light left unexplained, is more than 1 % of the hidden light "
-    "(or than --largest-misfit, if that is less).",
+    help="Largest mean difference of an accepted fit to the network's depth map, as a multiple of the MAE "
+    "that the network expects. It counts where noise, or light left unexplained, is more than 1 % of the "
+    "hidden light (or than --largest-misfit, if that is less).",
 )
 @click.option("--workers", type=COUNT, default=1, show_default=True, help="Processes that share the scenes.")
 @DEVICE

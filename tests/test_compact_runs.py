@@ -1,6 +1,7 @@
 """Runs at half their size, which predict as before."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -42,6 +43,16 @@ def test_predictions_are_the_same_to_rounding(compacted, finished_run, phasors):
     change = np.abs(before.phasor - after.phasor) / np.abs(before.phasor).max()
     assert (change > 2e-3).mean() < 0.01  # but for components at the dead zone, which become 0 or 0.05
     assert {weight.dtype for weight in load(compacted).network.state_dict().values()} == {torch.float32}
+
+
+def test_a_history_that_is_no_history_is_not_published(finished_run, tmp_path):
+    run = shutil.copytree(finished_run, tmp_path / "run")
+    (tmp_path / "private.txt").write_text("private")
+    (run / "history.csv").unlink()
+    (run / "history.csv").symlink_to(tmp_path / "private.txt")
+    message = refusal("night-eval", "compact", run, "--out", tmp_path / "small")
+    assert message.startswith(f"{run / 'history.csv'} is damaged")
+    assert not (tmp_path / "small").exists()
 
 
 def test_a_training_starts_from_a_compact_run(compacted, closed_form_scenes, tmp_path):

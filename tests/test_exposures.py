@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from night_commands import night_here, refusal
 from PIL import Image
+from synthetic_dataset import write_synthetic_dataset
 
+from itof import read_image, write_image
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.imperfections import PERFECT, cameras_by_imperfection, without
 from itof.sensor.noise import phase_noise_rad
@@ -217,6 +219,16 @@ def test_numbers_that_make_no_sense_and_changed_results_are_refused(
             judge_exposures(finished_run, closed_form_scenes, tmp_path / "o", SMALL, exposures=number)
     with pytest.raises(EvaluationError, match="that of scenes at least 1"):
         judge_exposures(finished_run, closed_form_scenes, tmp_path / "o", SMALL, first=0)
+    with pytest.raises(EvaluationError, match="imperfections are judged at one number of exposures"):
+        judge_exposures(
+            *(finished_run, closed_form_scenes, tmp_path / "o", SMALL),
+            exposures=(1, 2),
+            each_imperfection=True,
+        )
+    slow = replace(SMALL, frames=2000)
+    for numbers in ({"exposures": (1, 999_999)}, {"corner_exposures": 999_999}):
+        with pytest.raises(EvaluationError, match="999999 exposures of 2000 frames are more than"):
+            judge_exposures(finished_run, closed_form_scenes, tmp_path / "o", slow, **numbers)
     # Earlier results are replaced, unless one of their files was changed.
     done = judge_exposures(
         finished_run, closed_form_scenes, tmp_path / "r", SMALL, first=1, progress=False, device="cpu"
@@ -228,3 +240,37 @@ def test_numbers_that_make_no_sense_and_changed_results_are_refused(
     (tmp_path / "r" / "exposures.csv").write_text("mine")
     with pytest.raises(EvaluationError, match=r"exposures\.csv"):
         judge_exposures(finished_run, closed_form_scenes, tmp_path / "r", SMALL, first=1, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [(False, r"no channel direct.* a camera needs the direct and the hidden light"), (True, "not finite")],
+)
+def test_measurements_without_the_hidden_light_are_named(finished_run, tmp_path, parts, words):
+    data = write_synthetic_dataset(tmp_path / "data", count=4, parts=parts)
+    for scene_id in data.ids() if parts else ():
+        file = data.render_folder(scene_id) / "itof.exr"
+        image = read_image(file)
+        name = next(name for name in image.channels if name.startswith("hidden."))
+        write_image(file, {**image.channels, name: np.full_like(image.channels[name], np.nan)}, {})
+    with pytest.raises(EvaluationError, match=words) as caught:
+        judge_exposures(finished_run, data, tmp_path / "o", SMALL, progress=False, device="cpu")
+    assert "itof.exr" in str(caught.value)
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_camera_of_several_frames_counts_exposures(finished_run, closed_form_scenes, tmp_path, monkeypatch):
+    (tmp_path / "camera.toml").write_text(CAMERA + "frames = 3\n")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    done = night_here(
+        *("night-eval", finished_run, closed_form_scenes.root, "--out", ".", "--device", "cpu"),
+        *("--sensor", tmp_path / "camera.toml", "--exposures", "4,2", "--first", 1),
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [
+        [cell.strip() for cell in line.split("|")] for line in done.stdout.splitlines() if "| all |" in line
+    ]
+    assert [row[2] for row in rows] == ["2", "4"]
+    with (tmp_path / "here" / "exposures.csv").open() as stream:
+        assert [row["frames"] for row in csv.DictReader(stream)] == ["6", "12"]

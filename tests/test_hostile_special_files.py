@@ -7,6 +7,12 @@ import pytest
 from night_commands import refusal
 
 from commandline.results import tell
+from model.exposures.results import files_of_exposures
+from model.prediction.prediction_files import files_of_prediction
+from model.report.refinement_work import read_result
+from model.report.report_files import files_of_report
+from model.run_folder.history import HISTORY_FILE, read_history
+from model.run_folder.run_config import RunError
 from render.farm.claims import attempts_of
 from scenegen import read_rendering_record
 from scenegen.files.plain_file import read_plain
@@ -45,6 +51,28 @@ def test_a_pipe_for_the_record_of_the_renders_is_named(pipeline_copy):
     assert refusal("night-render", "status", pipeline_copy / "data").startswith(
         f"{file}: it is no plain file"
     )
+
+
+@pytest.mark.parametrize("special", ["pipe", "/dev/zero"])
+def test_a_history_that_is_no_plain_file_is_refused(special, tmp_path):
+    if special == "pipe":
+        pipe_at(tmp_path / HISTORY_FILE)
+    else:
+        (tmp_path / HISTORY_FILE).symlink_to(special)
+    with pytest.raises(RunError, match="it is no plain file"):
+        read_history(tmp_path)
+
+
+@pytest.mark.parametrize("written", [files_of_report, files_of_exposures, files_of_prediction])
+def test_pipes_among_earlier_results_are_not_waited_for(written, tmp_path):
+    for name in ("metrics.json", "exposures.json", "prediction.json"):
+        pipe_at(tmp_path / name)
+    assert written(tmp_path) == {}
+
+
+def test_pipes_among_refined_scenes_are_not_waited_for(tmp_path):
+    pipe_at(tmp_path / "scenes" / "000000.json")
+    assert read_result(tmp_path, "000000") is None
 
 
 def test_a_class_with_control_characters_is_refused(pipeline_copy):

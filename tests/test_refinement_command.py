@@ -20,7 +20,7 @@ from model.report.refined_figure import write_refined_figure
 from model.report.refinement import refine_split
 from model.report.refusals import EvaluationError
 from model.run_folder.shipped import run_folder
-from scenegen import open_dataset
+from scenegen import OutsideError, open_dataset
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -153,6 +153,20 @@ def test_a_folder_with_other_files_is_left_alone(dataset, tmp_path):
     sentence = refusal("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path, "--device", "cpu")
     assert sentence == f"{tmp_path} holds other files: choose another --out"
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_links_in_a_started_folder_lead_nowhere(copied, dataset, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    (copied / "scenes" / "000000.json").unlink()
+    (copied / "scenes" / "000000.exr").unlink()
+    (copied / "scenes" / "000000.exr").symlink_to(tmp_path / "mine.txt")
+    refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert not (copied / "scenes" / "000000.exr").is_symlink()
+    (copied / "scenes").rename(tmp_path / "elsewhere")
+    (copied / "scenes").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OutsideError, match="symbolic link to a place outside"):
+        refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
 
 
 @pytest.mark.parametrize("name", ["misfit", "difference"])

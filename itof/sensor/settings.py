@@ -19,6 +19,7 @@ Offset = Annotated[float, Field(ge=-0.5, le=0.5)]
 Strength = Annotated[float, Field(ge=-1, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Pixels = Annotated[int, Field(ge=1, le=2**14)]
+MOST_FRAMES = 1_000_000_000
 
 
 def _ascending(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -125,7 +126,7 @@ class SensorSettings:
     adc_e_per_dn: Positive | None = None
     adc_offset_dn: NotNegative = 0.0
     integration_s: Annotated[float, Field(gt=0, le=1e3)] = 1e-3
-    frames: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1
+    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
 
     def __post_init__(self) -> None:
         if (self.adc_bits is None) != (self.adc_e_per_dn is None):

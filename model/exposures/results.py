@@ -12,7 +12,8 @@ from itof.sensor.settings import SensorSettings
 from model.network.metrics import Summary
 from model.report.summary_cells import NUMBERS, summary_cells
 from scenegen import whole_file, write_text
-from scenegen.files.own_files import hashes_of
+from scenegen.files.own_files import MOST_RECORD_BYTES, hashes_of
+from scenegen.files.plain_file import read_plain
 
 EXPOSURE_SCHEMA = 1
 RESULT_FILE, TABLE_FILE, FIGURE_FILE = "exposures.json", "exposures.csv", "exposures.png"
@@ -84,7 +85,12 @@ class ExposureReport:
                 for each, factor in ((row.phase_noise_rad, 1e3), (row.snr_pixel, 1))
             )
             cells = (
-                *(row.name, f"{row.frames}", f"{1e3 * row.light_s:.3g}", f"{row.electrons:.3g}"),
+                *(
+                    row.name,
+                    f"{row.frames // self.sensor.frames}",
+                    f"{1e3 * row.light_s:.3g}",
+                    f"{row.electrons:.3g}",
+                ),
                 *(noise, snr, f"{100 * row.saturated:.1f}"),
             )
             lines.append(f"| {' | '.join((*cells, *summary_cells(row.metrics)))} |")
@@ -102,7 +108,10 @@ class ExposureReport:
         ----------
         origin : what was judged on what, as plain data.
         """
-        with whole_file(out / TABLE_FILE) as partial, partial.open("w", newline="") as stream:
+        with (
+            whole_file(out / TABLE_FILE) as partial,
+            partial.open("w", encoding="utf-8", newline="", errors="backslashreplace") as stream,
+        ):
             rows = [_flat(row) for row in self.rows]
             table = csv.DictWriter(stream, fieldnames=list(rows[0]))
             table.writeheader()
@@ -114,7 +123,7 @@ class ExposureReport:
 def files_of_exposures(folder: Path) -> dict[str, str | None]:
     """Files of earlier results by path, with SHA-256; empty if there are none."""
     try:
-        content = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+        content = json.loads(read_plain(folder / RESULT_FILE, MOST_RECORD_BYTES))
         if content["schema_version"] != EXPOSURE_SCHEMA:
             return {}
         known = {str(name): str(sha256) for name, sha256 in content["files"].items()}

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from itof import read_image
+from itof import ImageFileError, read_image
 from itof.sensor.imperfections import cameras_by_imperfection
-from itof.sensor.settings import SensorSettings
+from itof.sensor.settings import MOST_FRAMES, SensorSettings
 from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.exposures.figure import write_exposure_figure
 from model.exposures.measuring import MeasuredScene, SceneCamera
 from model.exposures.results import FIGURE_FILE, ExposureReport, ExposureRow, files_of_exposures
+from model.network.channels import ChannelError
 from model.network.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics, summarise
 from model.network.wall_view import wall_view
 from model.prediction.predictor import Predictor, load
@@ -35,6 +36,7 @@ from scenegen.files.own_files import refuse_other_files
 from scenegen.progress import showing_progress
 
 _STREAM = 0xE890  # of the noise, apart from those of other random numbers
+_NEEDED = "a camera needs the direct and the hidden light that night-render writes"
 
 
 def judge_exposures(
@@ -63,20 +65,25 @@ def judge_exposures(
     exposures : numbers of exposures that are averaged, one row of results each.
     corner_exposures : exposures of the empty corner, as the same camera measures it, that are averaged to the
         network's reference; 0 for no capture.
-    each_imperfection : instead of one row for each number of exposures: at the largest, the camera with each
+    each_imperfection : instead of one row for each number of exposures: at one number, the camera with each
         of its imperfections alone, and with all but this one.
     first : judge the first so many scenes of the split only.
 
     Raises
     ------
     EvaluationError : the split has no scenes, the run was trained for other images, needs a capture and gets
-        none, or each scene has its camera elsewhere; the images are not those of the sensor, binned; a number
-        is not positive; or `out` contains other things than earlier results.
+        none, or each scene has its camera elsewhere; the images are not those of the sensor, binned, or lack
+        the direct and hidden light; a number is not positive or too large; or `out` contains other things
+        than earlier results.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     """
     run, out = run_folder(run), Path(out).resolve()
     refuse_other_files(out, files_of_exposures, "judgement of exposures", EvaluationError)
-    _refuse_numbers(exposures, corner_exposures, first)
+    _refuse_numbers(sensor, exposures, corner_exposures, first)
+    if each_imperfection and len(set(exposures)) > 1:
+        raise EvaluationError(
+            f"imperfections are judged at one number of exposures, got {list(exposures)}: give one"
+        )
     if dataset.is_measured:
         raise EvaluationError(f"{dataset.root} holds captures of a camera: no other one can measure them")
     refuse_missing_split(dataset, split)
@@ -115,12 +122,19 @@ def judge_exposures(
     return report
 
 
-def _refuse_numbers(exposures: Sequence[int], corner_exposures: int, first: int | None) -> None:
+def _refuse_numbers(
+    sensor: SensorSettings, exposures: Sequence[int], corner_exposures: int, first: int | None
+) -> None:
     if not exposures or min(exposures) < 1:
         raise EvaluationError(f"exposures are whole numbers from 1 on, got {list(exposures)}")
     if corner_exposures < 0 or (first is not None and first < 1):
         raise EvaluationError(
             "the number of exposures of the corner is at least 0, that of scenes at least 1"
+        )
+    if max(*exposures, corner_exposures) * sensor.frames > MOST_FRAMES:
+        raise EvaluationError(
+            f"{max(*exposures, corner_exposures)} exposures of {sensor.frames} frames are more than "
+            f"{MOST_FRAMES} frames: give fewer exposures"
         )
 
 
@@ -129,7 +143,7 @@ def _cameras(
 ) -> Iterator[tuple[str, SensorSettings]]:
     """Cameras by name; their `frames` are those of the exposures."""
     if each_imperfection:
-        yield from cameras_by_imperfection(replace(sensor, frames=sensor.frames * max(exposures)))
+        yield from cameras_by_imperfection(replace(sensor, frames=sensor.frames * exposures[0]))
     else:
         for count in sorted(set(exposures)):
             yield "all", replace(sensor, frames=sensor.frames * count)
@@ -185,9 +199,16 @@ class _Work:
     def _light(self, row: int) -> list[Any]:
         """(H, W, F) phasors of a scene as rendered: all light, direct and hidden."""
         (scene,) = self.shards.ids([row])
-        image = read_image(self.dataset.render_folder(scene) / MEASUREMENT_FILE)
-        parts = [image.phasors(part) for part in ("itof", "direct", "hidden")]
-        return [phasor[..., self.predictor.config.inputs.places(found)] for phasor, found in parts]
+        file = self.dataset.render_folder(scene) / MEASUREMENT_FILE
+        image = read_image(file)
+        try:
+            parts = [image.phasors(part) for part in ("itof", "direct", "hidden")]
+            light = [phasor[..., self.predictor.config.inputs.places(found)] for phasor, found in parts]
+        except (ImageFileError, ChannelError) as error:
+            raise EvaluationError(f"{file}: {error}; {_NEEDED}") from None
+        if not all(np.isfinite(phasor).all() for phasor in light):
+            raise EvaluationError(f"{file} has phasors that are not finite: render the scene again")
+        return light
 
     def limits(self, *, captured: bool) -> tuple[Summary, Summary]:
         """Metrics of the network without a camera, and of predicting no object.

@@ -25,7 +25,8 @@ from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
 from scenegen import NightError, PathLike, whole_folder, write_text
 from scenegen.contract import fov_problem
-from scenegen.files.own_files import hashes_of, refuse_other_files
+from scenegen.files.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files
+from scenegen.files.plain_file import read_plain
 from scenegen.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view.
@@ -268,13 +269,13 @@ def _with_wall(
 
 def _refuse_other_contents(out: Path) -> None:
     """Refuse an output folder that contains anything but an earlier prediction, as it was written."""
-    refuse_other_files(out, _files_of_prediction, "prediction", PredictionError)
+    refuse_other_files(out, files_of_prediction, "prediction", PredictionError)
 
 
-def _files_of_prediction(folder: Path) -> dict[str, str | None]:
+def files_of_prediction(folder: Path) -> dict[str, str | None]:
     """Files of an earlier prediction, with SHA-256 where it is known; empty if there is no prediction."""
     try:
-        content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        content = json.loads(read_plain(folder / RECORD, MOST_RECORD_BYTES))
         if content["schema_version"] not in _KNOWN_SCHEMAS:
             return {}
         known: dict[str, str | None] = {

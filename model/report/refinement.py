@@ -18,7 +18,7 @@ from model.refinement.refining import Family
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
 from model.report.refined_figure import MOST_SCENES, write_refined_figure
 from model.report.refined_result import RefinedScene, RefinementReport
-from model.report.refinement_work import SCENES_FOLDER, Job, Recipe, read_result, worked
+from model.report.refinement_work import MOST_RESULT_BYTES, SCENES_FOLDER, Job, Recipe, read_result, worked
 from model.report.refusals import (
     EvaluationError,
     nothing_rendered,
@@ -28,6 +28,8 @@ from model.report.refusals import (
 from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
 from scenegen import Dataset, PathLike, Preset, Split, is_partial, whole_file, write_text
+from scenegen.files.inside import inside
+from scenegen.files.plain_file import read_plain
 from scenegen.progress import showing_progress
 
 RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
@@ -139,7 +141,7 @@ def _prepare(out: Path, recipe: Recipe) -> None:
     file = out / RECIPE_FILE
     if file.exists():
         try:
-            earlier = TypeAdapter(Recipe).validate_json(file.read_text(encoding="utf-8"))
+            earlier = TypeAdapter(Recipe).validate_json(read_plain(file, MOST_RESULT_BYTES))
         except (OSError, ValueError):
             earlier = None
         if earlier is None:
@@ -156,7 +158,7 @@ def _prepare(out: Path, recipe: Recipe) -> None:
         if out.exists() and not all(is_partial(each.name) for each in out.iterdir()):
             raise EvaluationError(f"{out} holds other files: choose another --out")
         write_text(file, json.dumps(asdict(recipe), indent=2) + "\n")
-    (out / SCENES_FOLDER).mkdir(exist_ok=True)
+    inside(out, SCENES_FOLDER).mkdir(exist_ok=True)
 
 
 def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
@@ -175,7 +177,10 @@ def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
         }
         for scene in scenes
     ]
-    with whole_file(file) as partial, partial.open("w", newline="") as stream:
+    with (
+        whole_file(file) as partial,
+        partial.open("w", encoding="utf-8", newline="", errors="backslashreplace") as stream,
+    ):
         table = csv.DictWriter(stream, fieldnames=list(rows[0]))
         table.writeheader()
         table.writerows(rows)

@@ -29,11 +29,13 @@ from model.report.refined_result import FoundSolid, RefinedScene, SceneNumbers
 from model.report.refusals import EvaluationError
 from model.run_folder.run_config import Sha256
 from model.settings import DeviceName
-from scenegen import Dataset, Split, open_dataset, write_text
+from scenegen import Dataset, Split, open_dataset, whole_file, write_text
 from scenegen.contract import STRICT, Vector
+from scenegen.files.plain_file import read_plain
 from scenegen.worker_processes import KILLED, results_in_order, worker_pool
 
 SCENES_FOLDER = "scenes"
+MOST_RESULT_BYTES = 2**20
 
 
 @checked_dataclass(frozen=True, config=STRICT)
@@ -128,7 +130,8 @@ class Work:
 
     def _write(self, result: RefinedScene, better: DepthMap) -> None:
         folder = self.out / SCENES_FOLDER
-        better.write(folder / f"{result.scene}.exr", {"scene_id": result.scene})
+        with whole_file(folder / f"{result.scene}.exr", sweep=False) as partial:  # a link is replaced
+            better.write(partial, {"scene_id": result.scene})
         write_text(folder / f"{result.scene}.json", json.dumps(asdict(result), indent=1) + "\n")
 
 
@@ -222,8 +225,8 @@ def read_result(out: Path, scene: str) -> RefinedScene | None:
     """The result of a scene that an earlier command has finished; None if there is none, or it is damaged."""
     folder = out / SCENES_FOLDER
     try:
-        text = (folder / f"{scene}.json").read_text(encoding="utf-8")
-        result = TypeAdapter(RefinedScene).validate_json(text)
+        content = read_plain(folder / f"{scene}.json", MOST_RESULT_BYTES)
+        result = TypeAdapter(RefinedScene).validate_json(content)
         DepthMap.read(folder / f"{scene}.exr")
     except (OSError, ValueError):
         return None

@@ -15,7 +15,8 @@ from model.report.calibration import Calibration
 from model.report.groups import Group
 from model.report.results import PAPER, Report, scene_numbers
 from scenegen import whole_file, write_text
-from scenegen.files.own_files import hashes_of
+from scenegen.files.own_files import MOST_RECORD_BYTES, hashes_of
+from scenegen.files.plain_file import read_plain
 
 REPORT_SCHEMA = 1
 METRICS_FILE = "metrics.json"
@@ -36,7 +37,7 @@ def files_of_report(folder: Path) -> dict[str, str | None]:
     A path that ends in a slash is that of a folder, which may be empty.
     """
     try:
-        content = json.loads((folder / METRICS_FILE).read_text(encoding="utf-8"))
+        content = json.loads(read_plain(folder / METRICS_FILE, MOST_RECORD_BYTES))
         if content["schema_version"] != REPORT_SCHEMA:
             return {}
         known: dict[str, str | None]
@@ -90,7 +91,10 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
     }
     write_text(out / "table.txt", report.table + "\n")
     write_text(out / "summary.md", summary_markdown(report))
-    with whole_file(out / "metrics.csv") as partial, partial.open("w", newline="") as stream:
+    with (
+        whole_file(out / "metrics.csv") as partial,
+        partial.open("w", encoding="utf-8", newline="", errors="backslashreplace") as stream,
+    ):
         table = csv.DictWriter(stream, fieldnames=list(scenes[0]))
         table.writeheader()
         table.writerows(scenes)

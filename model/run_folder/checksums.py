@@ -8,9 +8,10 @@ can write its digest too.
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 from typing import Final, NamedTuple
+
+from scenegen.files.plain_file import opened_plain
 
 DIGITS: Final = 64
 ZEROS: Final = "0" * DIGITS
@@ -58,12 +59,11 @@ def read_label(content: bytes) -> Label | None:
 
 
 def read_at_most(file: Path, most_bytes: int) -> bytes:
-    """The bytes of a file; `ValueError` if there are more than `most_bytes`, `OSError` if it fails."""
-    with file.open("rb") as stream:
-        size = os.fstat(stream.fileno()).st_size
+    """The bytes of a plain file; `ValueError` if there are more than `most_bytes`, `OSError` if it fails."""
+    with opened_plain(file) as (stream, size):
         if size > most_bytes:
             raise ValueError(f"it has {size} bytes, at most {most_bytes} are possible")
-        return stream.read()
+        return stream.read(most_bytes)
 
 
 def _place(content: bytes, mark: str) -> int:

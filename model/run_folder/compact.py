@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
+from typing import Final
 
-from model.run_folder.history import HISTORY_FILE
+from model.run_folder.checksums import read_at_most
+from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import save_weights, trained_network
 from scenegen import PathLike, whole_folder
+
+_MOST_BYTES: Final = 2**28
 
 
 def compact(run: PathLike, out: PathLike) -> Path:
@@ -20,8 +23,8 @@ def compact(run: PathLike, out: PathLike) -> Path:
 
     Raises
     ------
-    RunError : the run is damaged, of schema 2 or without weights, a weight is too large for 16 bits, or `out`
-        exists.
+    RunError : the run or its history is damaged, it is of schema 2 or without weights, a weight is too large
+        for 16 bits, or `out` exists.
     """
     folder, out = run_folder(run), Path(out).resolve()
     if out.exists():
@@ -36,9 +39,10 @@ def compact(run: PathLike, out: PathLike) -> Path:
     large = next((name for name, each in weights.items() if not bool(each.half().isfinite().all())), None)
     if large is not None:
         raise RunError(f"{folder} has weights that are too large for 16 bits ({large}): publish it whole")
+    names = [CONFIG_FILE, HISTORY_FILE] if read_history(folder) else [CONFIG_FILE]  # both were checked
+    files = {name: read_at_most(folder / name, _MOST_BYTES) for name in names}
     with whole_folder(out) as partial:
-        for name in (CONFIG_FILE, HISTORY_FILE):
-            if (folder / name).is_file():
-                shutil.copyfile(folder / name, partial / name)
+        for name, content in files.items():
+            (partial / name).write_bytes(content)
         save_weights(partial, weights, config.run_id, half=True)
     return out

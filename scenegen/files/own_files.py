@@ -6,11 +6,13 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
+from typing import Final
 
 from scenegen.files.file_hashes import sha256_of
 from scenegen.files.partials import remove_leftovers
 from scenegen.night_error import NightError
 
+MOST_RECORD_BYTES: Final = 2**28  # of the file that lists the others
 _NAMED = 3  # files that a refusal names
 
 
