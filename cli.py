@@ -111,7 +111,7 @@ def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | Non
     opened = open_dataset(dataset)
     ids = chosen_scenes(opened, only) if only else contact_sheet.choose_scenes(opened, count)
     preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
-    maker = blender_maker(preview_files.meshes_in(opened))
+    maker = blender_maker(preview_files.meshes_in(opened, ids))
     steps = len(opened.ids()) + len(ids)
     with noted_interrupt() as raise_noted, showing_progress(steps, "scene", "preview") as bar:
 

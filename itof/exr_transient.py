@@ -29,6 +29,7 @@ _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every tra
 # crashes the process (OpenEXR 3.5.3); reading does not.
 MOST_WRITTEN_BYTES = 2**31 - 1
 _COPIES = 3  # of the phasors: in blocks, joined, and for what follows
+_MOST_M = 1e12
 _MOST_BINS = 10_000_000  # as in presets; phasors need numbers for every bin
 _READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (docs/design.md, Transient files)
 
@@ -55,6 +56,8 @@ class TransientLayout:
             raise ValueError(f"a transient has at least one pixel and one bin, got {self}")
         if not math.isfinite(self.start_opl_m):
             raise ValueError(f"the time axis of a transient begins at a finite length, got {self}")
+        if max(abs(self.start_opl_m), self.bin_count * self.bin_width_m) > _MOST_M:
+            raise ValueError(f"the time axis of a transient has lengths of at most {_MOST_M:g} m, got {self}")
 
     @property
     def raw_bytes(self) -> int:

@@ -41,6 +41,7 @@ class ManyLightOptions:
     method: ClassVar[str] = "many-light"
     phasor_parts: ClassVar[int] = 3  # all light, the direct and the hidden part
     transient_fill: ClassVar[float] = 0.09  # most bins are empty
+    has_only_bins: ClassVar[bool] = False
 
     lights: int | None = None
     error: float = 0.01
@@ -72,6 +73,7 @@ class PathOptions:
     method: ClassVar[str] = "path"
     phasor_parts: ClassVar[int] = 1
     transient_fill: ClassVar[float] = 0.42  # noise fills every bin
+    has_only_bins: ClassVar[bool] = True  # phasors come from bins, which need memory also without transients
 
     spp: int = 4096
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -48,6 +48,7 @@ from scenegen import (
     remove_failure,
     sha256_of,
     whole_file,
+    whole_files,
     write_record,
 )
 from scenegen.mitsuba_description import mirrored_description, seen_description
@@ -96,9 +97,11 @@ class Renderer:
     def render(self, scene_id: str) -> RenderRecord:
         """Render a scene and its mirrored scene into ``renders/<id>/``, and return the record of the files.
 
-        Each file is written whole or not at all. The earlier record and failure of the scene are deleted
-        first and the new record is written last, so that a record never describes other files. The scene's
-        files are read once: the bytes that are compared with ``dataset.json`` are those that are rendered.
+        Each file is written whole or not at all. The earlier record is deleted when all files are written,
+        before the first one gets its name, and the new record is written last. So a record never describes
+        other files, and a rendering that fails leaves the earlier render, unless that has other settings. The
+        scene's files are read once: the bytes that are compared with ``dataset.json`` are those that are
+        rendered.
 
         Raises
         ------
@@ -118,11 +121,16 @@ class Renderer:
         scene_id = source.scene.id
         folder = self.dataset.render_folder(scene_id)
         recipe = self.settings.recipe(self.dataset, source.digest)
-        _forget_earlier(folder, "" if self.settings.wants_transients else recipe)
+        forget = partial(_forget_earlier, folder, "" if self.settings.wants_transients else recipe)
+        earlier = read_record(folder)
+        if earlier is None or earlier.recipe != recipe:
+            forget()
+        remove_failure(folder)
         edited = edited_attributes(self.dataset, scene_id, source.digest)
         attributes = {**self._attributes(scene_id), **edited, "recipe": recipe}
-        measured = self._render_measurement(source, attributes)
-        self._render_mirrored(source, attributes)
+        with whole_files(folder, before=forget) as stage:
+            measured = self._render_measurement(source, attributes, stage)
+            self._render_mirrored(source, attributes, stage)
         names = (*TRANSIENT_FILES, *IMAGE_FILES)
         files = {name: folder / name for name in names if (folder / name).is_file()}
         record = RenderRecord(
@@ -146,10 +154,11 @@ class Renderer:
         _refuse_unlike(scene, self.dataset)
         return _Source(scene, folder, files, digest)
 
-    def _render_measurement(self, source: _Source, attributes: dict[str, str]) -> dict[str, str]:
+    def _render_measurement(
+        self, source: _Source, attributes: dict[str, str], folder: Path
+    ) -> dict[str, str]:
         """Write the phasors and, if wanted, the transient; return the attributes of these files."""
         scene = source.scene
-        folder = self.dataset.render_folder(scene.id)
         view = self._view(self.settings.bounces(self.dataset), scene.seed)
         try:
             seen, wall = seen_description(scene), self._method.rough_wall
@@ -176,9 +185,8 @@ class Renderer:
         self._write(folder / MEASUREMENT_FILE, channels, attributes)
         return attributes
 
-    def _render_mirrored(self, source: _Source, attributes: dict[str, str]) -> None:
+    def _render_mirrored(self, source: _Source, attributes: dict[str, str], folder: Path) -> None:
         scene = source.scene
-        folder = self.dataset.render_folder(scene.id)
         mirrored = scene_from_data(mirrored_description(scene), source.files, source.folder)
         if self.settings.wants_transients:
             # The two measurements of a scene need different random streams: their noise must be independent.
@@ -201,7 +209,7 @@ class Renderer:
         what = f"scene {attributes['scene_id']}: {path.name}"
         phasors = []
         try:
-            with whole_file(path) as partial, TransientWriter(partial, self.layout, attributes) as writer:
+            with whole_file(path) as written, TransientWriter(written, self.layout, attributes) as writer:
                 for block in _finite(exposure.row_blocks(), what):
                     writer.write_rows(block)
                     phasors.append(self._phi.apply_streaming([block]))
@@ -219,8 +227,8 @@ class Renderer:
             raise RenderError(
                 f"scene {attributes['scene_id']}: {path.name} has NaN or infinite pixels: it was not written"
             )
-        with whole_file(path) as partial:
-            write_image(partial, channels, attributes)
+        with whole_file(path) as written:
+            write_image(written, channels, attributes)
 
     def _attributes(self, scene_id: str) -> dict[str, str]:
         return {
@@ -243,11 +251,10 @@ def _versions() -> dict[str, str]:
 
 
 def _forget_earlier(folder: Path, recipe: str) -> None:
-    """Delete the earlier record and failure, and all transients except intact ones recorded for `recipe`."""
+    """Delete the earlier record, and all transients except intact ones recorded for `recipe`."""
     record = read_record(folder)
     kept = record.files if record is not None and record.recipe == recipe else {}
     (folder / RECORD_FILE).unlink(missing_ok=True)
-    remove_failure(folder)
     for name in TRANSIENT_FILES:
         file = folder / name
         if file.is_file() and (name not in kept or sha256_of(file) != kept[name].sha256):

@@ -101,8 +101,9 @@ class RenderSettings:
                 f"an image of {width}x{height} pixels is too large: at most {_MOST_PIXELS} pixels"
             )
         layout = TransientLayout(width, height, axis.bin_count, axis.bin_width_m, axis.start_opl_m)
+        if self.wants_transients or self.options.has_only_bins:
+            _check_memory(layout, "--product itof" if self.wants_transients else "--method many-light")
         if self.wants_transients:
-            _check_memory(layout)
             _check_file_size(layout)
         return layout
 
@@ -200,12 +201,12 @@ def _check_file_size(layout: TransientLayout) -> None:
         )
 
 
-def _check_memory(layout: TransientLayout) -> None:
+def _check_memory(layout: TransientLayout, other: str) -> None:
     """Refuse, before rendering starts, a time axis so long that one image row does not fit into memory."""
     needed = _WORKING_COPIES * 4 * layout.width * layout.bin_count
     memory = machine_bytes()
     if needed > memory or layout.width * layout.bin_count >= 2**31:
         raise RenderError(
             f"one image row of {layout.width} pixels x {layout.bin_count} bins needs {needed / 1e9:.2g} GB "
-            f"of this machine's {memory / 1e9:.2g} GB: use fewer bins, fewer pixels, or --product itof"
+            f"of this machine's {memory / 1e9:.2g} GB: use fewer bins, fewer pixels, or {other}"
         )

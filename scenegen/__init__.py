@@ -20,7 +20,7 @@ from scenegen.files.file_hashes import FileHashes, sha256_of
 from scenegen.files.inside import OutsideError, inside
 from scenegen.files.partials import is_partial, remove_leftovers
 from scenegen.files.path_like import PathLike
-from scenegen.files.whole_files import whole_file, whole_folder, write_text
+from scenegen.files.whole_files import whole_file, whole_files, whole_folder, write_text
 from scenegen.night_error import NightError
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, load_preset, preset_from_dict
@@ -119,6 +119,7 @@ __all__ = [
     "silenced",
     "wall_normal",
     "whole_file",
+    "whole_files",
     "whole_folder",
     "write_bad_render",
     "write_failure",

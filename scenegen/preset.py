@@ -6,6 +6,7 @@ else ours (docs/design.md, Scene).
 
 from __future__ import annotations
 
+from math import gcd
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter
@@ -36,6 +37,7 @@ from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 Material = Literal["rough", "diffuse"]
 MOST_BOUNCES = 64  # surfaces that light may meet on its way
 MAX_SCANLINE_VALUES = 2**31  # OpenEXR counts a scanline's values (image width x bins) in 32 bits
+_MOST_PROJECTOR_PIXELS = 2**26
 
 
 def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -279,6 +281,12 @@ class Preset:
                     f"{name}.least_reflectance is {least:g}, above {name}.reflectance = {most:g}: it is the "
                     "lower end of the range"
                 )
+        divisor = gcd(self.camera.width, self.camera.height)
+        if self.camera.width * self.camera.height // divisor**2 > _MOST_PROJECTOR_PIXELS:
+            raise ValueError(
+                f"camera.width and camera.height need a larger common divisor than {divisor}, because the "
+                f"projector has an image of their aspect ratio: got {self.camera.width}x{self.camera.height}"
+            )
         width, bins = self.camera.width, self.transient.bin_count
         if width * bins >= MAX_SCANLINE_VALUES:
             raise ValueError(

@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass
 from scenegen.contract import STRICT, ContractError, checked
 from scenegen.files.file_hashes import sha256_of
 from scenegen.files.path_like import PathLike
+from scenegen.files.plain_file import read_plain
 from scenegen.files.whole_files import write_text
 
 MEASUREMENT_FILE, GROUND_TRUTH_FILE = "itof.exr", "mirrored.exr"
@@ -27,6 +28,7 @@ IMAGE_FILES = (MEASUREMENT_FILE, GROUND_TRUTH_FILE)
 TRANSIENT_FILES = (TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE)
 RECORD_FILE, FAILURE_FILE, FAILURE_LOG = "render.json", "failure.json", "failure.log"
 BAD_FILE = "bad.json"
+_MOST_BYTES = 2**24  # of a record
 Contents = TypeVar("Contents")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 # The name of a file in a record becomes part of a path, so it must be one of the names above.
@@ -170,9 +172,7 @@ def forget_bad_render(folder: PathLike, record: RenderRecord) -> None:
 
 def _read(adapter: TypeAdapter[Contents], file: Path) -> Contents | None:
     try:
-        if not file.is_file():  # also a pipe or a device, which could be read for ever
-            return None
-        contents: Contents = checked(adapter, file.read_bytes(), str(file))
+        contents: Contents = checked(adapter, read_plain(file, _MOST_BYTES), str(file))
     except (OSError, ContractError):
         return None
     return contents

@@ -24,7 +24,7 @@ WALLS = ("relay_wall", "middle_wall")
 _FIXED_NAMES = {SCENE_FILE, SEEN_XML, MIRRORED_XML, EMITTER_IMAGE, *(f"{wall}.ply" for wall in WALLS)}
 _ANY_NAMES = _FIXED_NAMES | {WALL_IMAGE}
 _OTHER_MESH = re.compile(r"((mirrored_)?hidden_object_[0-9]+|mirrored_middle_wall)\.ply")
-MOST_FILE_BYTES = 2**30  # two million triangles, the most that a mesh may have, take 50 MB
+MOST_FILE_BYTES = 2**30  # of a folder: two million triangles, the most that a mesh may have, take 50 MB
 
 
 class SceneFolderError(NightError):
@@ -56,8 +56,8 @@ def read_scene_folder(folder: Path) -> dict[str, bytes]:
 
     Raises
     ------
-    SceneFolderError : the folder is missing or empty, has a file above 1 GiB, or has a symbolic link, a
-        folder or anything else that is not a regular file; the message names it.
+    SceneFolderError : the folder is missing or empty, has more than 1 GiB, or has a symbolic link, a folder
+        or anything else that is not a regular file; the message names it.
     """
     return dict(_contents(folder))
 
@@ -126,14 +126,16 @@ def _contents(folder: Path) -> Iterator[tuple[str, bytes]]:
         found = []
     if not found:
         raise SceneFolderError(f"{folder} is missing or empty: run night-gen scenes again")
+    total = 0
     for entry in found:
         if not entry.is_file(follow_symlinks=False):
             raise SceneFolderError(
                 f"{entry.path} is {'a symbolic link' if entry.is_symlink() else 'no regular file'}, and a "
                 "scene folder holds regular files alone: move it elsewhere and run night-gen scenes again"
             )
-        if entry.stat(follow_symlinks=False).st_size > MOST_FILE_BYTES:
+        total += entry.stat(follow_symlinks=False).st_size
+        if total > MOST_FILE_BYTES:
             raise SceneFolderError(
-                f"{entry.path} is larger than any file of a scene: run night-gen scenes again"
+                f"{folder} is larger than a scene can be (up to {entry.name}): run night-gen scenes again"
             )
         yield entry.name, Path(entry.path).read_bytes()

@@ -33,7 +33,8 @@ def read_triangles(contents: bytes, kind: str, origin: str) -> tuple[NDArray[np.
     """
     import trimesh
 
-    options = {"skip_materials": True} if kind == "ply" else {}  # a comment may name a picture
+    # A comment of a PLY file may name a picture; pictures in a GLB file may take all memory.
+    options = {"skip_materials": True} if kind in ("ply", "glb") else {}
     try:
         scene = trimesh.load_scene(io.BytesIO(contents), file_type=kind, process=False, **options)
         _refuse_many(_count(scene), origin)  # before they are made: nodes may repeat one mesh

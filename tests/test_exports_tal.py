@@ -1,5 +1,8 @@
 """Captures for y-tal: bins, geometry and formats of a rendered transient."""
 
+import json
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -10,7 +13,8 @@ from render_records import record_anew
 from itof import TransientLayout, TransientWriter
 from render.products.conversion import ExportError
 from render.products.tal_export import export_tal
-from scenegen import camera_axes, read_record, wall_normal
+from scenegen import camera_axes, read_recipe, read_record, wall_normal, write_record
+from scenegen.scene_folder import folder_digest
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +116,10 @@ def test_a_capture_names_formats_and_provenance_as_tal_reads_them(capture, trans
 def test_a_camera_that_looks_past_the_wall_has_no_capture(transient_copy, tmp_path):
     file = transient_copy.scene_folder("000000") / "scene.json"
     file.write_text(file.read_text().replace("50.0", "5.0"))
+    render = transient_copy.render_folder("000000")
+    record = read_record(render)
+    recipe = json.dumps(read_recipe(record.recipe) | {"scene_sha256": folder_digest(file.parent)})
+    write_record(render, replace(record, recipe=recipe))  # as if it had been rendered so
     with pytest.raises(ExportError, match="the camera looks past the plane of the relay wall"):
         export_tal(transient_copy, "000000", tmp_path / "x.hdf5")
     assert not (tmp_path / "x.hdf5").exists()

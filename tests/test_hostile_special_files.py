@@ -14,8 +14,11 @@ from model.report.report_files import files_of_report
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import RunError
 from render.farm.claims import attempts_of
-from scenegen import read_rendering_record
+from render.farm.inventory import Inventory
+from render.settings import settings_for
+from scenegen import open_dataset, read_rendering_record
 from scenegen.files.plain_file import read_plain
+from scenegen.scene_folder import SceneFolderError, read_scene_folder
 
 
 def pipe_at(path):
@@ -88,3 +91,32 @@ def test_a_class_with_control_characters_is_refused(pipeline_copy):
 def test_text_of_files_commands_no_terminal(capsys):
     tell(["failed: 000001: \x1b]0;title\x07\nsecond line"], {}, False)
     assert capsys.readouterr().out == "failed: 000001: \\x1b]0;title\\x07\nsecond line\n"
+
+
+@pytest.mark.parametrize("special", ["pipe", "/dev/zero"])
+def test_a_render_that_is_no_plain_file_is_damaged(special, pipeline_copy):
+    folder = pipeline_copy / "data" / "renders" / "000000"
+    record = json.loads((folder / "render.json").read_text())
+    record["files"]["itof.exr"]["bytes"] = 0
+    (folder / "render.json").write_text(json.dumps(record))
+    (folder / "itof.exr").unlink()
+    if special == "pipe":
+        pipe_at(folder / "itof.exr")
+    else:
+        (folder / "itof.exr").symlink_to(special)
+    dataset = open_dataset(pipeline_copy / "data")
+    assert Inventory(dataset, settings_for(dataset, {})).state("000000") == "damaged"
+
+
+def test_a_pipe_in_the_place_of_a_new_scene_is_not_waited_for(pipeline_copy):
+    data = pipeline_copy / "data"
+    pipe_at(data / "scenes" / "999999" / "scene.json")
+    assert "999999" in refusal("night-gen", "scenes", data)
+
+
+def test_a_scene_folder_of_any_size_is_not_read(tmp_path):
+    for number in range(5):
+        with (tmp_path / f"hidden_object_{number}.ply").open("wb") as stream:
+            stream.truncate(2**28)  # without blocks on the disk
+    with pytest.raises(SceneFolderError, match=r"larger than a scene can be \(up to hidden_object_4\.ply\)"):
+        read_scene_folder(tmp_path)

@@ -9,10 +9,12 @@ from many_light_scenes import BLACK, FREQUENCIES_HZ, Corner, ball, expose
 from night_commands import night_here
 
 from itof import MeasurementMatrix, TransientLayout
-from render.options import ManyLightOptions
+from render.farm.inventory import Inventory
+from render.options import ManyLightOptions, PathOptions
 from render.rendering import Renderer
 from render.settings import RenderError, RenderSettings
 from render.transport.passes.transient_pass import LostLightError
+from scenegen import read_record
 
 WHOLE = TransientLayout(12, 9, 1400, 0.01, 0.0)
 
@@ -172,3 +174,23 @@ def test_the_command_has_the_option(short):
     options = ["--lights", 64, "--device", "cpu", "--retry-failed", "--accept-lost-light"]
     done = night_here("night-render", short.root, *options)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_render_that_fails_leaves_the_earlier_one(short, variant):
+    itof = RenderSettings(options=ManyLightOptions(lights=64), device="cpu")
+    record = Renderer(short, itof).render("000000")
+    folder = short.render_folder("000000")
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    with pytest.raises(RenderError, match="--accept-lost-light"):
+        Renderer(short, settings()).render("000000")
+    assert read_record(folder) == record
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    assert Inventory(short, itof).state("000000") == "done"
+    assert Inventory(short, settings()).state("000000") == "missing"
+
+
+def test_phasors_from_bins_need_memory_for_bins(short, monkeypatch):
+    monkeypatch.setattr("render.settings._WORKING_COPIES", 10**9)
+    assert RenderSettings(device="cpu").layout(short).bin_count == 600
+    with pytest.raises(RenderError, match="or --method many-light"):
+        RenderSettings(options=PathOptions(), device="cpu").layout(short)

@@ -130,7 +130,7 @@ def test_a_users_mesh_is_drawn_from_the_scenes_own_files(tmp_path):
     dataset = open_dataset(tmp_path / "rings")
     original = read_meshes(dataset.preset, tmp_path)["mesh:ring.ply"]
     (tmp_path / "ring.ply").unlink()
-    found = meshes_in(dataset)["mesh:ring.ply"]
+    found = meshes_in(dataset, dataset.ids())["mesh:ring.ply"]
     assert found.sha256 == original.sha256
     # Places came through float32 in a room of metres: 1e-7 m, in units of a 0.5 m box.
     np.testing.assert_allclose(found.vertices, original.vertices, atol=2e-6)
@@ -141,4 +141,4 @@ def test_a_users_mesh_is_drawn_from_the_scenes_own_files(tmp_path):
     assert len(orange(sheet)) > 100
     (dataset.scene_folder("000000") / "hidden_object_0.ply").unlink()
     with pytest.raises(RenderError, match="run night-gen scenes again"):
-        meshes_in(dataset)
+        meshes_in(dataset, dataset.ids())

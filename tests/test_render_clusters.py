@@ -265,6 +265,9 @@ def test_joining_and_starting_a_cluster_at_once_is_refused(unrendered, tmp_path)
     )
     assert done.returncode == 2
     assert "either --scheduler or --cluster" in done.stderr
+    done = night_here("night-render", unrendered, "--scheduler", "tcp://localhost:1", "--workers", 2)
+    assert done.returncode == 2
+    assert "a running cluster has its own workers" in done.stderr
 
 
 class NoWorkers:

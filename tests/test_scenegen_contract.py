@@ -113,6 +113,12 @@ def test_what_a_value_must_be_is_said_without_types_of_python(section, key, valu
     assert str(refused.value) == f"mine.toml: {sentence}"
 
 
+def test_a_camera_whose_projector_would_need_a_huge_image_is_refused():
+    with pytest.raises(PresetError, match="need a larger common divisor than 1, because the projector"):
+        preset_from_dict({"camera": {"width": 99_999, "height": 100_000}}, "mine.toml")
+    preset_from_dict({"camera": {"width": 80_000, "height": 60_000}}, "mine.toml")
+
+
 def test_a_damaged_render_record_is_no_record(tmp_path):
     for text in ("{", "{}", '{"recipe": "x", "attributes": {}, "files": {}, "more": 1}'):
         (tmp_path / RECORD_FILE).write_text(text)

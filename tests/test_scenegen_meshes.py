@@ -13,7 +13,7 @@ from scene_folders import contents, of_seed_5
 
 from scenegen import open_dataset, sample_scene, scene_id
 from scenegen.making.meshes import read_mesh
-from scenegen.triangles import MAX_TRIANGLES
+from scenegen.triangles import MAX_TRIANGLES, read_triangles
 
 PRESET = """
 [dataset]
@@ -254,3 +254,17 @@ def test_the_outermost_vertices_of_a_mesh_decide_like_all_of_them(maker, tmp_pat
         refused.append(with_box.refusal(cube))
         assert with_box.refusal(replace(cube, hidden_objects=(part,))) == refused[-1]
     assert 20 < sum(reason is None for reason in refused) < 180
+
+
+def test_pictures_in_a_mesh_file_are_not_unpacked(monkeypatch):
+    from PIL import Image
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual = trimesh.visual.TextureVisuals(
+        uv=np.zeros((len(ball.vertices), 2)), image=Image.new("RGB", (8, 8))
+    )
+    contents = ball.export(file_type="glb")
+    assert b"image/png" in contents
+    monkeypatch.setattr(Image, "open", lambda *_: pytest.fail("a picture was opened"))
+    _, triangles = read_triangles(contents, "glb", "ball.glb")
+    assert len(triangles) == len(ball.faces)

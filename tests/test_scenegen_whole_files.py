@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from kill_points import FOLDERS, contents, names, write_folder
 
+import scenegen
 from scenegen import is_partial, remove_leftovers, whole_file, whole_folder, write_text
 from scenegen.files import whole_files
 from scenegen.files.partials import HOST
@@ -279,3 +280,37 @@ def test_paths_may_be_text_and_relative(tmp_path):
 def test_a_text_may_name_a_file_that_is_not_utf_8(tmp_path):
     write_text(tmp_path / "a", os.fsdecode(b"\xc3\xa9 \xff"))
     assert (tmp_path / "a").read_bytes() == b"\xc3\xa9 \\udcff"
+
+
+def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path):
+    (tmp_path / "a").write_text("old")
+    (tmp_path / "c").write_text("other")
+    seen = []
+
+    def write(fail):
+        with scenegen.whole_files(
+            tmp_path, before=lambda: seen.append((tmp_path / "a").read_text())
+        ) as stage:
+            for name in ("a", "b"):
+                write_text(stage / name, "new")
+            if fail:
+                raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write(fail=True)
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"a": "old", "c": "other"}
+    write(fail=False)
+    assert seen == ["old"]
+    texts = {file.name: file.read_text() for file in tmp_path.iterdir()}
+    assert texts == {"a": "new", "b": "new", "c": "other"}
+
+
+def test_an_error_in_a_file_of_several_names_its_place(tmp_path):
+    def write():
+        with scenegen.whole_files(tmp_path / "out") as stage:
+            (stage / "a").mkdir()
+            write_text(stage / "a", "new")
+
+    with pytest.raises(IsADirectoryError) as caught:
+        write()
+    assert caught.value.filename == str(tmp_path / "out" / "a")

@@ -1,6 +1,7 @@
 """The transient vector of a pixel: direct and hidden light told apart by time, and its picture."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 from itof import MeasurementMatrix, TransientLayout, TransientReader, TransientWriter, read_image
 from render.products.conversion import ExportError
+from render.products.tiles import read_tile
 from render.products.transient_parts import (
     _shortest_way_m,
     direct_end_m,
@@ -199,3 +201,21 @@ def test_a_pixel_whose_parts_share_bins_is_refused(transient_copy, transient_bin
     bins = transient_bins.reshape(HEIGHT, WIDTH, 8, 20).sum(axis=-1)
     with pytest.raises(ExportError, match="may have direct and hidden light in the same bins"):
         pixel_transient(replaced(transient_copy, bins, wide), "000000", (20, 9))
+
+
+def test_a_scene_that_was_changed_since_it_was_rendered_is_refused(transient_copy, tmp_path):
+    file = transient_copy.scene_folder("000000") / "scene.json"
+    content = json.loads(file.read_text())
+    content["camera"]["location_m"][0] += 0.3
+    file.write_text(json.dumps(content))
+    for command in (("plot", transient_copy.root, "000000"), ("convert", transient_copy.root, "--to", "tal")):
+        message = refusal("night-render", *command, "--out", tmp_path / "plot.png")
+        assert f"the files in {file.parent} are not those that were rendered" in message
+    with pytest.raises(ExportError, match="not those that were rendered"):
+        read_tile(transient_copy, "000000", np.zeros((60, 80, 3), np.uint8))
+
+
+@pytest.mark.parametrize("changes", [{"start_opl_m": -1e308}, {"bin_width_m": 1e300}])
+def test_a_time_axis_of_impossible_length_is_refused(changes):
+    with pytest.raises(ValueError, match=r"lengths of at most 1e\+12 m"):
+        dataclasses.replace(LAYOUT, **changes)

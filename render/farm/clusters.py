@@ -49,7 +49,7 @@ def connected(
         used, or local workers do not start.
     BackendError : this machine cannot render on `device` (local workers only).
     """
-    shows_pages = check_cluster(scheduler, cluster_file)
+    shows_pages = check_cluster(scheduler, cluster_file, workers)
     is_local = not (scheduler or cluster_file)
     with dask_settings(is_local=is_local, shows_pages=shows_pages), ExitStack() as stack:
         _leave_ctrl_c_to_us(stack)
@@ -66,7 +66,7 @@ def connected(
                 signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
-def check_cluster(scheduler: str | None, cluster_file: PathLike | None) -> bool:
+def check_cluster(scheduler: str | None, cluster_file: PathLike | None, workers: int | None = None) -> bool:
     """Check the choice of workers; connects to nothing and starts nothing.
 
     Returns
@@ -75,11 +75,16 @@ def check_cluster(scheduler: str | None, cluster_file: PathLike | None) -> bool:
 
     Raises
     ------
-    ClusterError : both are given, or the file cannot be used.
+    ClusterError : both are given, a number of workers is given for a running cluster, or the file cannot be
+        used.
     """
     if scheduler and cluster_file:
         raise ClusterError(
             "give either --scheduler or --cluster: the first joins a running cluster, the second starts one"
+        )
+    if scheduler and workers is not None:
+        raise ClusterError(
+            "--workers is for this machine or for --cluster: a running cluster has its own workers"
         )
     if scheduler:
         check_address(scheduler)

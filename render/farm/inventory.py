@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Literal
 
 from render.edited_scenes import is_edited, known_digest
 from render.settings import RenderSettings
-from scenegen import Dataset, FileHashes, RenderRecord, read_failure, read_record
+from scenegen import Dataset, FileHashes, FileRecord, RenderRecord, read_failure, read_record
 
 # done: all files are there, intact, and have this recipe. failed: rendering with this recipe failed. other:
 # rendered with another recipe. damaged: files are gone or differ from the record. missing: everything else.
@@ -71,14 +73,15 @@ class Inventory:
         if not set(self.settings.files) <= set(record.files):
             return "missing"  # rendered to a smaller product
         try:
-            whole = all(
-                (folder / name).stat().st_size == expected.bytes
-                and self._hashes.sha256(folder / name) == expected.sha256
-                for name, expected in record.files.items()
-            )
+            whole = all(self._is_recorded(folder / name, expected) for name, expected in record.files.items())
         except OSError:
             whole = False
         return "done" if whole else "damaged"
+
+    def _is_recorded(self, file: Path, expected: FileRecord) -> bool:
+        found = file.stat()
+        is_alike = stat.S_ISREG(found.st_mode) and found.st_size == expected.bytes
+        return is_alike and self._hashes.sha256(file) == expected.sha256
 
     def states(
         self, scenes: Iterable[str], on_scene: Callable[[], object] = lambda: None

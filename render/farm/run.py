@@ -77,7 +77,7 @@ def render_dataset(
     """
     refuse_measured(dataset)
     _refuse_device(settings, options)  # before any file is written, as the next check
-    check_cluster(options.scheduler, options.cluster_file)
+    check_cluster(options.scheduler, options.cluster_file, options.workers)
     renders = dataset.renders
     with (
         joined_run(renders, json.dumps(settings.common_recipe(dataset))),
@@ -123,7 +123,7 @@ def plan_run(
     """
     refuse_measured(dataset)
     _refuse_device(settings, options)
-    check_cluster(options.scheduler, options.cluster_file)
+    check_cluster(options.scheduler, options.cluster_file, options.workers)
     refuse_other_run(dataset.renders, json.dumps(settings.common_recipe(dataset)))
     found = _look(dataset, settings, scenes, options, say)
     plan = None

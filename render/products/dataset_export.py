@@ -88,6 +88,7 @@ def export_dataset(
     _check_name(file)
     source = SceneSource(dataset)
     left_out, wanted = _checked(dataset, source, partial)
+    licence = read_card(dataset).licence
     write = _zarr_rows if file.suffix == _ZARR else _hdf5_rows
     with write(file, len(wanted)) as rows:
         for scene_id in wanted:
@@ -101,7 +102,6 @@ def export_dataset(
         left_out = dict(sorted(left_out.items()))
         if not rows.entries:
             raise ExportError(f"no scene of {dataset.root} can be exported: {next(iter(left_out.values()))}")
-        licence = read_card(dataset).licence
         documents = {
             "preset": asdict(dataset.preset),
             "provenance": _provenance(dataset, licence),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from itof import DepthMap, Image, ImageFileError, read_image
 from render.products.content_checks import has_part, wrong_phasors, wrong_pixels
 from render.products.conversion import ExportError
+from render.products.rendered_scene import scene_and_files
 from render.settings import settings_of
 from scenegen import (
     GROUND_TRUTH_FILE,
@@ -28,7 +29,7 @@ from scenegen import (
     read_record,
     recorded_file,
 )
-from scenegen.scene_folder import SCENE_FILE, digest_of, read_scene_folder, scene_of
+from scenegen.scene_folder import SCENE_FILE
 
 Reason = Literal["not rendered", "given up", "found bad", "other settings", "damaged"]
 _PARTS = ("direct", "hidden")
@@ -145,16 +146,8 @@ class SceneSource:
 
     def _scene(self, scene_id: str, record: RenderRecord | None) -> tuple[Scene, str]:
         """A scene and the text of its ``scene.json``, if its files are those that were rendered."""
-        folder = self.dataset.scene_folder(scene_id)
-        files = read_scene_folder(folder)
-        listed = self.dataset.entry(scene_id).sha256
-        rendered = read_recipe(record.recipe).get("scene_sha256") if record else listed
-        if rendered is not None and digest_of(files) != rendered:
-            raise ExportError(
-                f"the files in {folder} are not those that were rendered: run night-gen scenes "
-                f"{self.dataset.root}, which repairs them, then night-render"
-            )
-        return scene_of(files, folder), files[SCENE_FILE].decode()
+        scene, files = scene_and_files(self.dataset, scene_id, record)
+        return scene, files[SCENE_FILE].decode()
 
     def _images(self, scene_id: str) -> dict[str, NDArray[Any]]:
         file = recorded_file(self.dataset, scene_id, MEASUREMENT_FILE)

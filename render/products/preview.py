@@ -108,8 +108,8 @@ def _refuse_other_pictures(dataset: Dataset) -> None:
             )
 
 
-def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
-    """The users' own meshes in the scenes of a dataset, by shape, from the files of the scenes.
+def meshes_in(dataset: Dataset, ids: Sequence[str]) -> dict[str, UserMesh]:
+    """The users' own meshes in the scenes `ids`, by shape, from the files of the scenes.
 
     The mesh files that the user gave are not needed.
 
@@ -117,13 +117,10 @@ def meshes_in(dataset: Dataset) -> dict[str, UserMesh]:
     ------
     RenderError : the mesh of a scene is missing or damaged.
     """
-    wanted = {s for s in dataset.preset.hidden_object.shapes if s.startswith(MESH_PREFIX)}
     meshes: dict[str, UserMesh] = {}
-    for scene_id in dataset.ids():
-        if wanted <= set(meshes):
-            break
+    for scene_id in ids:
         for number, part in enumerate(dataset.scene(scene_id).hidden_objects):
-            if part.shape not in wanted - set(meshes):
+            if not part.shape.startswith(MESH_PREFIX) or part.shape in meshes:
                 continue
             file = inside(dataset.scene_folder(scene_id), f"hidden_object_{number}.ply")
             try:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from itof import TransientLayout, TransientReader, pixel_rays
 from render.products.conversion import ExportError, exported_file, open_transient
 from render.products.patient_file import hdf5_file
+from render.products.rendered_scene import rendered_scene
 from scenegen import TRANSIENT_FILE, Dataset, PathLike, Scene, camera_axes, rotation_matrix, wall_normal
 
 if TYPE_CHECKING:
@@ -58,12 +59,12 @@ def export_tal(dataset: Dataset, scene_id: str, out: PathLike) -> None:
 
     Raises
     ------
-    ExportError : the scene has no transient, the camera or the projector looks past the relay wall, or the
-        file cannot be written.
+    ExportError : the scene has no transient, its files are not those that were rendered, the camera or the
+        projector looks past the relay wall, or the file cannot be written.
     """
     import h5py
 
-    scene = dataset.scene(scene_id)
+    scene = rendered_scene(dataset, scene_id)
     with open_transient(dataset, scene_id) as reader:
         fields = _geometry(scene, reader.layout)
         with exported_file(out) as partial, hdf5_file(partial) as (file, stream):

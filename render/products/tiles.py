@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import DepthMap, Image, ImageFileError, amplitude, direct_phasors, read_image
+from render.products.rendered_scene import rendered_scene
 from render.settings import RenderError
 from scenegen import (
     GROUND_TRUTH_FILE,
@@ -66,13 +67,15 @@ def read_tile(dataset: Dataset, scene_id: str, view: NDArray[np.uint8]) -> Tile:
     Raises
     ------
     RenderFileError : a rendered file differs from its record.
+    ExportError : the files of the scene are not those that were rendered.
     ImageFileError : a file without a record is truncated or not an EXR file.
     RenderError : a rendered file does not have the channels of a render, or has NaN or infinite pixels.
     """
-    scene = dataset.scene(scene_id)
+    has_render = is_rendered(dataset, scene_id)
+    scene = rendered_scene(dataset, scene_id) if has_render else dataset.scene(scene_id)
     measured = hidden = depth_m = None
     is_residual = False
-    if is_rendered(dataset, scene_id):
+    if has_render:
         image = read_image(recorded_file(dataset, scene_id, MEASUREMENT_FILE), advice=RENDER_AGAIN)
         is_residual = not any(name.startswith("hidden.") for name in image.channels)
         measured = checked_pixels(scene_id, MEASUREMENT_FILE, lambda: amplitude(image.phasors()[0][..., 0]))

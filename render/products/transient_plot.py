@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from itof import SPEED_OF_LIGHT, WIDEST_REACH_BINS, TransientLayout, TransientReader
 from render.products.conversion import ExportError, exported_file, open_transient
+from render.products.rendered_scene import rendered_scene
 from render.products.transient_parts import first_hidden_bin, hidden_start_m
 from scenegen import Dataset, PathLike, Scene
 
@@ -68,12 +69,12 @@ def pixel_transient(dataset: Dataset, scene_id: str, pixel: tuple[int, int] | No
 
     Raises
     ------
-    ExportError : the scene has no transient, the image has no such pixel, the pixel has no light, or its
-        direct and hidden light share bins.
+    ExportError : the scene has no transient, or its files are not those that were rendered; the image has no
+        such pixel, the pixel has no light, or its direct and hidden light share bins.
     RenderFileError, ImageFileError, DatasetError, RenderError : a file is missing or damaged.
     """
     with open_transient(dataset, scene_id) as reader:
-        layout, scene = reader.layout, dataset.scene(scene_id)
+        layout, scene = reader.layout, rendered_scene(dataset, scene_id)
         first_hidden = first_hidden_bin(scene, layout)
         column, row = _brightest(reader, first_hidden) if pixel is None else _inside(pixel, layout)
         bins = reader.read_rows(row, row + 1)[0, column].astype(np.float64)  # (T,)

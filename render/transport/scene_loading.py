@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _KEPT_MESHES = 8  # the walls at least, which are the same in all scenes
 _LARGEST_KEPT = 2**20  # bytes of a mesh file
-_PFM = re.compile(rb"Pf\n([0-9]{1,5}) ([0-9]{1,5})\n-1\.0\n", re.ASCII)
+_PFM = re.compile(rb"Pf\n([0-9]{1,6}) ([0-9]{1,6})\n-1\.0\n", re.ASCII)
 
 
 class SceneLoadingError(NightError):

@@ -8,12 +8,12 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
-from errno import EACCES, EAGAIN, ELOOP, ENOLCK, ENOTSUP
+from errno import EACCES, EAGAIN, ELOOP, ENOLCK, ENOSYS, ENOTSUP
 from pathlib import Path
 
 from scenegen.night_error import NightError
 
-_NO_LOCKS = (ENOLCK, ENOTSUP)
+_NO_LOCKS = (ENOLCK, ENOSYS, ENOTSUP)  # ENOSYS: Lustre without the option flock
 
 
 class LockFileError(NightError):

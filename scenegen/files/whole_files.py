@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from errno import EACCES, EBUSY, EDQUOT, EEXIST, EFBIG, EIO, EISDIR, ENOSPC, ENOTDIR, ENOTEMPTY, EROFS
 from pathlib import Path
@@ -16,6 +16,7 @@ from scenegen.files.path_like import PathLike
 
 _WRITE_ERRORS = frozenset({ENOSPC, EDQUOT, EFBIG, EIO, EROFS})  # without a name when a write raises them
 _OCCUPIED = frozenset({ENOTEMPTY, EEXIST, ENOTDIR})  # what renaming to a name in use raises
+_TOGETHER = "files"  # name of temporary folders whose files belong together
 _ATTEMPTS = 100  # at a name that other processes keep taking
 
 
@@ -89,6 +90,34 @@ def whole_folder(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
         _sync(new)
         _put_in_place(new, final)
         _sync(final.parent)
+
+
+@contextmanager
+def whole_files(path: PathLike, before: Callable[[], None] = lambda: None) -> Iterator[Path]:
+    """Yield a temporary folder; on success, its files are moved to the folder `path`, one after the other.
+
+    Other files in `path` stay. On an error, no file there has changed. Files are written with `whole_file`.
+
+    Parameters
+    ----------
+    path : the folder, which is made if it is missing.
+    before : called when all files are written, before the first one is moved.
+    """
+    final = _with_name(path)
+    _make_folder(final)
+    remove_leftovers(final, _TOGETHER)
+    with partial_folder(final / _TOGETHER) as folder:
+        try:
+            yield folder
+        except OSError as error:
+            if not _lies_in(error.filename, folder):
+                raise
+            inner = Path(str(error.filename)).relative_to(folder)
+            raise OSError(error.errno, error.strerror, str(final / inner)) from error
+        before()
+        for file in sorted(folder.iterdir()):
+            file.replace(final / file.name)
+        _sync(final)
 
 
 def write_text(path: PathLike, text: str) -> None:

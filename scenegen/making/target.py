@@ -16,9 +16,10 @@ from scenegen.dataset import DatasetError, open_dataset
 from scenegen.files.inside import inside
 from scenegen.files.locks import lock
 from scenegen.files.partials import is_partial, remove_leftovers
+from scenegen.files.plain_file import read_plain
 from scenegen.preset import Preset
 from scenegen.scene import scene_from_json, scene_id
-from scenegen.scene_folder import SCENE_FILE, is_scene_file
+from scenegen.scene_folder import MOST_FILE_BYTES, SCENE_FILE, is_scene_file
 
 NO_MESHES: Mapping[str, str] = MappingProxyType({})
 _NAMED = 3  # files that a refusal names
@@ -171,7 +172,8 @@ def _is_ours(entry: Path, preset: Preset) -> bool:
     if not _is_scene_folder(entry):
         return False
     try:
-        scene = scene_from_json((entry / SCENE_FILE).read_text(encoding="utf-8"), str(entry))
+        content = read_plain(entry / SCENE_FILE, MOST_FILE_BYTES)
+        scene = scene_from_json(content.decode(), str(entry))
     except (OSError, ValueError):
         return False
     return (scene.dataset_seed, scene.id) == (preset.dataset.seed, entry.name)
