@@ -106,6 +106,24 @@ def test_batches_hold_the_rows_in_the_order_wanted_across_windows(shards, window
                 assert np.array_equal(batch.mask, shards.read(batch.rows).mask)
 
 
+def test_a_window_of_which_some_rows_are_used_is_prepared_as_a_whole(shards):
+    prepared = []
+
+    def prepare(block):
+        prepared.append(block.rows)
+        return block
+
+    feed = Feed(shards, shards.rows("train"), 4, prepare)
+    windows = feed.shuffled_windows(generator())
+    whole = list(feed.in_windows(windows, 2))
+    before, prepared[:] = list(prepared), []
+    skip = len(windows[0]) // 2 + 1  # into the second window
+    assert (2 * skip - len(windows[0])) % len(windows[1]) != 0
+    left = list(feed.in_windows(windows, 2, skip=skip))
+    assert [batch.rows for batch in left] == [batch.rows for batch in whole[skip:]]
+    assert prepared == before[1:]
+
+
 def test_an_epoch_that_is_left_halfway_ends_its_thread(shards):
     batches = Feed(shards, shards.rows("train"), 0).in_order(2)
     assert next(batches).rows == tuple(shards.rows("train")[:2])

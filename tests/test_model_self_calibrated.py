@@ -8,11 +8,13 @@ import pytest
 import torch
 from measurements import write_npz
 from night_commands import refusal
+from synthetic_dataset import write_synthetic_dataset
 from training_runs import SEEING, assert_same_end, config_of, settings, train_on_one_thread
 from wall_measurements import farther
 
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
+from model.data.shards import open_shards
 from model.data.wall_fits import WallFits
 from model.network import channels as channels_module
 from model.network.channels import ChannelError
@@ -109,7 +111,7 @@ def test_a_row_that_is_uploaded_again_has_the_same_reference_without_another_fit
     for rows in ([3, 4, 5], [4, 5, 7], [7, 3]):
         found = maker.upload_to_augment(shards.read(rows), fits).reference
         assert torch.equal(found, expected[rows])
-    assert fitted == [3, 3]  # the second has a new row, the third has none
+    assert fitted == [1, 1, 1, 1]  # the second has a new row, the third has none
 
 
 def test_a_reference_kept_without_noise_keeps_the_share_of_the_noise_that_a_fit_takes():
@@ -249,3 +251,19 @@ def test_a_camera_in_the_plane_of_the_wall_is_refused(self_run):
 def test_channels_that_calibrate_themselves_cannot_be_scaled_without_camera_and_wall(shards):
     with pytest.raises(ValueError, match="the reference self needs the camera and the wall"):
         fit_input_spec("residual", shards, shards.rows("train"), reference="self")
+
+
+@pytest.mark.parametrize("size", [(20, 15), (37, 29)])
+def test_the_fit_of_an_image_does_not_depend_on_the_images_beside_it(size, tmp_path):
+    # Of these sizes, the sums of several images at once are rounded otherwise than those of one.
+    dataset = write_synthetic_dataset(tmp_path / "data", count=8, width=size[0], height=size[1])
+    shards, view, rows = open_shards(dataset, progress=False), wall_view(dataset), range(8)
+    inputs = fit_input_spec("residual", shards, rows, reference="self", view=view)
+    wall = view.expected_wall(shards.reference, shards.manifest.frequencies_hz)
+    maker = BatchMaker.for_shards(inputs, shards.manifest.frequencies_hz, wall, torch.device("cpu"))
+    phasor = maker.measured(maker.upload(shards.read(list(rows))))
+    together = WallFits(inputs).of(rows, phasor, maker.wall)
+    for count in (1, 3):
+        fit = WallFits(inputs).of(rows[:count], phasor[:count], maker.wall)
+        assert torch.equal(fit.plane_per_m, together.plane_per_m[:count])
+        assert torch.equal(fit.offsets_rad, together.offsets_rad[:count])

@@ -121,6 +121,13 @@ class ExpectedWall:
         strength = None if self.strength is None else convert(self.strength)
         return replace(self, **arrays, strength=strength)
 
+    def of_images(self, some: slice) -> ExpectedWall:
+        """The walls of some images, if each has its own; else this wall."""
+        if self.direct.ndim == 3:
+            return self
+        strength = None if self.strength is None else self.strength[some]
+        return replace(self, direct=self.direct[some], rays=self.rays[some], strength=strength)
+
     def captured(self, direct: Any) -> ExpectedWall:
         """The wall with the return of a capture of the empty corner (H, W, F), in the same place.
 

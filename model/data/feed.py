@@ -80,9 +80,11 @@ class Feed:
     ) -> Iterator[RowBlock]:
         """Batches of the rows of `windows`, in their order.
 
-        The first `skip` batches are neither read nor delivered; a resumed epoch used them before.
+        The first `skip` batches are not delivered; a resumed epoch used them before. A window that is used in
+        part is prepared as a whole, because the rounding of a row can depend on the rows beside it.
         """
-        return _batches(self._blocks(without_first(windows, skip * batch_size)), batch_size)
+        left, used = without_first(windows, skip * batch_size)
+        return _batches(self._blocks(left), batch_size, used)
 
     def in_order(self, batch_size: int) -> Iterator[RowBlock]:
         """Batches with every row once, in ascending order."""
@@ -157,11 +159,11 @@ def _read_ahead(
             del block  # otherwise three windows would be in memory
 
 
-def _batches(windows: Iterable[tuple[list[int], RowBlock]], size: int) -> Iterator[RowBlock]:
-    """Divide windows into batches of `size` rows; only the last batch may have fewer."""
+def _batches(windows: Iterable[tuple[list[int], RowBlock]], size: int, used: int) -> Iterator[RowBlock]:
+    """Divide windows, without the first `used` rows, into batches of `size`; the last one may have fewer."""
     begun: RowBlock | None = None
     for order, block in windows:
-        start = 0
+        start, used = used, 0
         while start < len(order):
             end = start + size - (len(begun) if begun else 0)
             part = block.take(order[start:end])

@@ -41,15 +41,13 @@ def shuffled_windows(
     return [_shuffled(window, generator) for window in _dealt(pieces, window_rows)]
 
 
-def without_first(windows: Iterable[list[int]], count: int) -> list[list[int]]:
-    """The windows without the first `count` rows; the other rows keep their order."""
-    left: list[list[int]] = []
-    for window in windows:
-        kept = window[count:]
-        count = max(0, count - len(window))
-        if kept:
-            left.append(kept)
-    return left
+def without_first(windows: Sequence[list[int]], count: int) -> tuple[Sequence[list[int]], int]:
+    """The windows that are left after the first `count` rows, and how many rows of their first are used."""
+    for number, window in enumerate(windows):
+        if count < len(window):
+            return windows[number:], count
+        count -= len(window)
+    return [], 0
 
 
 def _dealt(pieces: Iterable[list[int]], window_rows: int) -> list[list[int]]:

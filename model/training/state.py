@@ -108,12 +108,14 @@ class TrainingState:
     def _feed_of(self, split: Split, rows: Sequence[int], window_rows: int) -> Feed:
         """Feed of these rows of a split, in windows of at least so many of them."""
         prepare = self.maker.upload_to_augment if split == "train" else self.maker.upload
-        inputs = self.config.inputs
+        inputs, is_streamed = self.config.inputs, len(set(rows)) > window_rows
         return Feed(
             self.shards,
             rows,
             window_rows,
-            functools.partial(prepare, fits=WallFits(inputs) if inputs.self_calibrates else None),
+            functools.partial(
+                prepare, fits=WallFits(inputs) if inputs.self_calibrates and is_streamed else None
+            ),
             prepares_ahead=self.processes.device.type != "cpu",
         )
 
