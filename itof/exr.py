@@ -26,6 +26,7 @@ from itof.exr_header import ImageFileError
 from itof.exr_library import ExrInput, ExrOutput
 from itof.machine_memory import memory_shortage
 
+_COPIES = 4  # of the channels, while phasors are made of them
 _MOST_NAMES = 20  # of channels in a sentence
 _PHASOR_CHANNEL = re.compile(r"(?P<prefix>\w+)\.(?P<mhz>[0-9]{1,300}(\.[0-9]{1,300})?)MHz\.(?P<part>Re|Im)")
 
@@ -119,7 +120,7 @@ def read_image(path: str | os.PathLike[str], *, advice: str = "") -> Image:
     """
     with closing(ExrInput(Path(path), advice)) as file:
         found = file.structure
-        if shortage := memory_shortage(found.float_bytes + found.unpacking_bytes):
+        if shortage := memory_shortage(found.float_bytes + found.unpacking_bytes, copies=_COPIES):
             raise ImageFileError(f"{path} {shortage}")
         names = list(found.channels)
         return Image(dict(zip(names, file.rows(names, 0, found.height), strict=True)), file.texts)

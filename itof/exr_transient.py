@@ -28,7 +28,7 @@ _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every tra
 # In the Python module of OpenEXR, the place of a row in the image, in bytes, is an int. Beyond it, writing
 # crashes the process (OpenEXR 3.5.3); reading does not.
 MOST_WRITTEN_BYTES = 2**31 - 1
-_COPIES = 3  # of the phasors: in blocks, joined, and for what follows
+_COPIES = 3  # of a block: also as float64; of the phasors: in blocks, joined, and for what follows
 _MOST_M = 1e12
 _MOST_BINS = 10_000_000  # as in presets; phasors need numbers for every bin
 _READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (docs/design.md, Transient files)
@@ -180,7 +180,7 @@ class TransientReader:
                 f"{self.path} has {found.width} values in a row: no whole pixels of {bin_count} bins"
             )
         block_bytes = 4 * found.width * min(found.height, layout.rows_per_block)
-        if shortage := memory_shortage(block_bytes + found.unpacking_bytes):
+        if shortage := memory_shortage(block_bytes + found.unpacking_bytes, copies=_COPIES):
             raise ImageFileError(f"{self.path} {shortage}")
         return layout
 

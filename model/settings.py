@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from itof.sensor.settings import SensorSettings
 from model.sensors import load_sensor
-from scenegen import NightError, PathLike, PresetError, inside, read_settings
+from scenegen import NightError, PathLike, PresetError, inside, read_settings, shipped_file
 from scenegen.contract import STRICT, Positive, WholeCount, checked_data
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
@@ -311,7 +311,7 @@ def _sensor_of(name: str, origins: list[str]) -> SensorSettings:
             beside = inside(Path(origin).parent, name)
             if beside.is_file():
                 return load_sensor(beside)
-        return load_sensor(name)
+        return load_sensor(shipped_file("sensors", name))
     except (NightError, OSError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise PresetError(f"{origins[0]}, key sensor: {reason}") from None
@@ -333,7 +333,7 @@ def _extended(name: object, origin: Path) -> PathLike | None:
         return None
     try:
         beside = inside(origin.parent, str(name))
-        return beside if beside.is_file() else str(name)
+        return beside if beside.is_file() else shipped_file("training", str(name))
     except (NightError, OSError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise PresetError(f"{origin}, key extends: {reason}") from None

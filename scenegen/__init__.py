@@ -24,7 +24,7 @@ from scenegen.files.whole_files import whole_file, whole_files, whole_folder, wr
 from scenegen.night_error import NightError
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.preset import Preset, load_preset, preset_from_dict
-from scenegen.preset_files import PresetError, data_folder, read_settings
+from scenegen.preset_files import PresetError, data_folder, read_settings, shipped_file
 from scenegen.recorded_files import RENDER_AGAIN, RenderFileError, is_recorded, recorded_file
 from scenegen.render_folder import (
     GROUND_TRUTH_FILE,
@@ -116,6 +116,7 @@ __all__ = [
     "scene_id",
     "scene_to_json",
     "sha256_of",
+    "shipped_file",
     "silenced",
     "wall_normal",
     "whole_file",

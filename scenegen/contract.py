@@ -16,7 +16,7 @@ from scenegen.night_error import NightError
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-WholeCount = Annotated[int, Field(ge=1)]
+WholeCount = Annotated[int, Field(ge=1, le=1_000_000_000)]
 Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 _Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # metres or degrees, also beyond those of presets

@@ -46,6 +46,19 @@ def read_settings(kind: str, name_or_file: PathLike) -> tuple[dict[str, Any], st
         raise PresetError(f"{file} cannot be read as TOML: {error}") from None
 
 
+def shipped_file(kind: str, name: str) -> Path:
+    """Path of the file in data/<kind> with this name, for names that stand in a file of a stranger.
+
+    Raises
+    ------
+    PresetError : there is no such file. One in the current folder is not looked for.
+    """
+    named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
+    if name not in named:
+        raise PresetError(f"no preset {name}: give a file beside this one, or one of {', '.join(named)}")
+    return named[name]
+
+
 def data_folder(kind: str) -> Path:
     """Path of data/<kind>, the files that come with the program: in the source tree, else as installed."""
     source = Path(__file__).parent.parent / "data" / kind

@@ -19,7 +19,7 @@ from model.capture.sidecar import CaptureError
 from model.capture.sidecar_files import load_sidecar
 from model.prediction.measurement_files import measurement_of
 from model.prediction.measurement_process import FileContents
-from scenegen import PathLike, inside, sha256_of, whole_file
+from scenegen import PathLike, inside, sha256_of, whole_file, whole_files
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,13 @@ def import_capture(
     measurement_of(out, contents)  # what prediction will say about it
     dark = [] if meaning.dark_file is None else [inside(folder, meaning.dark_file)]
     sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, dark)]
-    # The record, which knows the field of view of the measurement, is there before it.
-    with whole_file(out) as partial, whole_file(record_path(out)) as beside:
-        write_measurement(partial, contents.arrays)
+    record_file = record_path(out)
+    with whole_files(out.parent, before=lambda: _put_record(stage / record_file.name, out)) as stage:
+        with whole_file(stage / out.name) as partial:
+            write_measurement(partial, contents.arrays)
         record = ImportRecord(
             schema_version=1,
-            measurement_sha256=sha256_of(partial),
+            measurement_sha256=sha256_of(stage / out.name),
             inputs=sources[0],
             empty_inputs=sources[1],
             sidecar=meaning,
@@ -110,9 +111,15 @@ def import_capture(
             generator=f"night-eval capture import {version('night-nlos')}",
             dark_inputs=sources[2],
         )
-        write_import_record(beside, record)
-        out.unlink(missing_ok=True)  # an earlier import, which would not fit the new record
-    return ImportedCapture(capture, reference, out, record_path(out))
+        with whole_file(stage / record_file.name) as partial:
+            write_import_record(partial, record)
+    return ImportedCapture(capture, reference, out, record_file)
+
+
+def _put_record(record: Path, out: Path) -> None:
+    """Put the record in place, which knows the field of view of the measurement `out`, before that."""
+    out.unlink(missing_ok=True)  # an earlier import, which would not fit the new record
+    record.replace(record_path(out))
 
 
 def paths(given: PathLike | Sequence[PathLike]) -> list[Path]:

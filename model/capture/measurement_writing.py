@@ -15,13 +15,13 @@ ENDINGS: Final = (".npz", ".h5", ".hdf5")
 
 def write_measurement(partial: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays by name to a temporary file, as ``.npz`` or HDF5 by its ending."""
+    stream = BytesIO()  # which has room: on a full disk, zipfile says too much, and HDF5 ends the process
     if partial.suffix.lower() == ".npz":
-        stream = BytesIO()  # which has room; on a full disk, zipfile prints more than one sentence
         np.savez(stream, **dict(arrays))
-        partial.write_bytes(stream.getbuffer())
-        return
-    import h5py  # which takes a tenth of a second to load
+    else:
+        import h5py  # which takes a tenth of a second to load
 
-    with h5py.File(partial, "w") as file:
-        for name, values in arrays.items():
-            file[name] = values
+        with h5py.File(stream, "w") as file:
+            for name, values in arrays.items():
+                file[name] = values
+    partial.write_bytes(stream.getbuffer())

@@ -18,6 +18,7 @@ from model.prediction.measurement_process import FileContents, read_contents
 from scenegen import OutsideError, inside, sha256_of
 
 ENDINGS: Final = (".npz", ".h5", ".hdf5", ".exr", ".mat")
+SMALLEST: Final = 1e-30  # largest number of an array, whose square is not 0
 LARGEST: Final = 1e30  # number whose square can be summed
 _MOST_NAMES = 20  # of arrays in a sentence
 _SHORTEST_S, _LONGEST_S = 1e-12, 1e6  # of an exposure
@@ -219,6 +220,8 @@ def _refuse_values(values: Arrays, what: str) -> None:
         )
     ends = np.abs(values) if values.dtype.kind == "c" else values
     largest = max(abs(float(ends.max())), abs(float(ends.min())))
+    if 0 < largest < SMALLEST:
+        raise CaptureError(f"{what} holds at most {largest:g}, which is too small: write it in another unit")
     if largest > LARGEST:
         raise CaptureError(f"{what} holds {largest:g}, and {LARGEST:g} is the most: write it in another unit")
 

@@ -13,10 +13,12 @@ from model.data.pieces import PieceRecord
 from model.data.rows import RowLayout
 from scenegen import SceneEntry, write_text
 from scenegen.contract import STRICT, FieldOfView, WholeCount
+from scenegen.files.plain_file import read_plain
 from scenegen.preset import Preset
 
 SHARD_SCHEMA: Final = 2
 MANIFEST_FILE = "manifest.json"
+_MOST_BYTES: Final = 2**30  # a million scenes take 300 MB
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -73,7 +75,7 @@ def read_manifest(folder: Path) -> ShardManifest | None:
     """Manifest of a shard folder; None if it is missing or unreadable."""
     file = folder / MANIFEST_FILE
     try:
-        return TypeAdapter(ShardManifest).validate_json(file.read_bytes()) if file.is_file() else None
+        return TypeAdapter(ShardManifest).validate_json(read_plain(file, _MOST_BYTES))
     except (OSError, ValidationError):
         return None
 

@@ -10,6 +10,7 @@ import numpy as np
 from model.data.class_balance import BalanceError
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
+from scenegen.contract import FARTHEST_M
 
 LEAST_SPREAD_M: Final = 0.01  # for scenes whose objects are all equally far
 
@@ -25,7 +26,7 @@ def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:
 
     Raises
     ------
-    BalanceError : the scenes have no object pixel.
+    BalanceError : the scenes have no object pixel, or their objects are too far away.
     """
     count, total, squares = 0, 0.0, 0.0
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
@@ -40,4 +41,9 @@ def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:
             "--preset known-wall, or render scenes that show one"
         )
     mean_m = total / count
+    if not mean_m <= FARTHEST_M:
+        raise BalanceError(
+            f"the object of the training scenes is {mean_m:.3g} m away on average, and {FARTHEST_M} m is the "
+            "most: is the ground truth in millimetres?"
+        )
     return mean_m, max(squares / count - mean_m**2, LEAST_SPREAD_M**2) ** 0.5

@@ -25,9 +25,11 @@ from model.data.array_files import is_array_file
 from model.data.rows import ARRAYS, RowLayout
 from scenegen import FileHashes
 from scenegen.contract import STRICT, WholeCount
+from scenegen.files.plain_file import read_plain
 
 PIECE_BYTES = 128 * 2**20  # upper limit, unless one scene takes more
 RECORD_FILE = "piece.json"
+_MOST_BYTES = 2**28  # of a record
 PIECE_FILES = (*(f"{name}.npy" for name in ARRAYS), RECORD_FILE)
 
 
@@ -85,7 +87,7 @@ def read_piece_record(folder: Path) -> PieceRecord | None:
     """Record of a piece; None if it is missing or unreadable. Its arrays are not looked at."""
     file = folder / RECORD_FILE
     try:
-        return TypeAdapter(PieceRecord).validate_json(file.read_bytes()) if file.is_file() else None
+        return TypeAdapter(PieceRecord).validate_json(read_plain(file, _MOST_BYTES))
     except (OSError, ValidationError):
         return None
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from itof import split_components
-from model.data.array_files import is_array_file
+from model.data.array_files import ArrayFile, is_array_file
 from model.data.manifest import MANIFEST_FILE, ShardManifest, preset_sha256, read_manifest, write_manifest
 from model.data.piece_arrays import write_piece
 from model.data.pieces import (
@@ -167,7 +167,9 @@ def _update_reference(
     )
     components = split_components(reference)  # (H, W, 2F)
     with whole_file(file) as partial, partial.open("wb") as stream:
-        np.save(stream, np.ascontiguousarray(np.moveaxis(components, -1, 0), dtype=np.float32))
+        array = ArrayFile(stream, *reference_array(layout))
+        for component in np.moveaxis(components, -1, 0):
+            array.append(component)
     return hashes.sha256(file)
 
 

@@ -247,7 +247,10 @@ def _write_images(
     bright = float(np.abs(phasor[..., 0]).mean())
     if not bright > 0:
         raise MirrorError(f"{pair.measurement.path} has no light where it sees the wall: capture it again")
-    phasor = phasor * (float(np.abs(direct[..., 0]).mean()) / bright)
+    with np.errstate(over="ignore", invalid="ignore"):
+        phasor = phasor * (float(np.abs(direct[..., 0]).mean()) / bright)
+    if not np.isfinite(phasor).all():
+        raise MirrorError(f"{pair.measurement.path} has numbers that are too small or too large: scale them")
     folder.mkdir(parents=True)
     source = {"source": str(pair.measurement.path.name)}
     write_image(folder / MEASUREMENT_FILE, phasor_channels(phasor, frequencies_hz), source)

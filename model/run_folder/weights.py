@@ -56,7 +56,7 @@ def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
         raise RunError(
             f"{folder} has no best.safetensors: no epoch was finished; resume it with night-train --resume"
         )
-    least, network = _least_bytes(config), None
+    least, network = least_bytes(config), None
     try:
         most = file.stat().st_size
         if most >= least:  # or a network that run.json alone calls large would take all memory
@@ -84,7 +84,7 @@ def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
     return network, content
 
 
-def _least_bytes(config: RunConfig) -> int:
+def least_bytes(config: RunConfig) -> int:
     """What the weights of a run take at least, as 16 bit floats."""
     settings = config.settings
     return 2 * least_weights(config.inputs.channel_count, settings.width, settings.levels, settings.block)

@@ -17,7 +17,7 @@ import torch
 
 from model.run_folder.checksums import label_text, labelled, read_at_most
 from model.run_folder.run_config import RUN_SCHEMA, RunConfig, RunError
-from model.run_folder.weights import refuse_other_label
+from model.run_folder.weights import least_bytes, refuse_other_label
 from scenegen import whole_file
 
 CHECKPOINT_FILE: Final = "checkpoint.pt"
@@ -47,6 +47,16 @@ def _packed(state: Mapping[str, Any], comment: bytes) -> bytes:
     with stream.getbuffer() as archive:
         length = len(comment).to_bytes(_COMMENT_LENGTH, "little")
         return b"".join((archive[:-_COMMENT_LENGTH], length, comment))
+
+
+def refuse_short_checkpoint(folder: Path, config: RunConfig) -> None:
+    """`RunError` if ``checkpoint.pt`` is too short for the network that ``run.json`` describes."""
+    file, least = folder / CHECKPOINT_FILE, least_bytes(config)
+    if file.stat().st_size < least:
+        raise RunError(
+            f"{file} is damaged, or the checkpoint of another network: it has {file.stat().st_size} bytes, "
+            f"and the network of run.json takes at least {least}: {_AGAIN}"
+        )
 
 
 def load_checkpoint(folder: Path, config: RunConfig, weights_bytes: int) -> dict[str, Any] | None:

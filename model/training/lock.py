@@ -17,6 +17,7 @@ from scenegen import NightError
 from scenegen.files.locks import is_same_file, lock, open_lock_file
 
 LOCK_FILE: Final = ".training"
+_MOST_ATTEMPTS: Final = 1000  # at a folder that others remove, or in which no file can be made
 _OWNER: Final = re.compile(r"process [0-9]{1,20} on [A-Za-z0-9_.-]{1,255}")
 
 
@@ -65,11 +66,15 @@ def _locked(out: Path) -> Iterator[None]:
 def _taken(out: Path) -> int:
     """Descriptor of the locked file."""
     path = out / LOCK_FILE
+    attempt = 0
     while True:
         out.mkdir(parents=True, exist_ok=True)
+        attempt += 1
         try:
             descriptor = open_lock_file(path)
         except FileNotFoundError:
+            if attempt == _MOST_ATTEMPTS:
+                raise
             continue  # the last owner deleted the empty folder just now
         is_mine = lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if is_mine and is_same_file(descriptor, path):

@@ -29,7 +29,7 @@ from model.run_folder.run_config import (
     write_config,
 )
 from model.settings import TrainSettings
-from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
+from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint, refuse_short_checkpoint
 from model.training.corner_images import corner_images
 from model.training.epoch import save_if_due, train_epoch, validate
 from model.training.fine_tuning import Start, read_start, refuse_lost_checkpoint
@@ -162,6 +162,8 @@ def _train(
             weights = weights | corner_images(config, dataset, shards, rows)
             if settings.revive:
                 weights = revived(weights, config, shards, rows)
+        else:
+            refuse_short_checkpoint(out, config)  # before the network is made, which may take all memory
         state = TrainingState(config, shards, processes, memory_bytes, weights)
         checkpoint = load_checkpoint(out, before, state.weights_bytes) if before else None
         if checkpoint:

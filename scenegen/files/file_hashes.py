@@ -12,9 +12,11 @@ import time
 from pathlib import Path
 
 from scenegen.files.path_like import PathLike
+from scenegen.files.plain_file import read_plain
 from scenegen.files.whole_files import write_text
 
 HASHES_FILE = ".hashes.json"
+_MOST_BYTES = 2**30
 _RACY_NS = 2_000_000_000  # a file that is younger may change again without a new time of change
 
 
@@ -75,7 +77,7 @@ class FileHashes:
 
 def _read(file: Path) -> dict[str, list[int | str]]:
     try:
-        known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        known = json.loads(read_plain(file, _MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(known, dict):
