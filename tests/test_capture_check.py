@@ -16,7 +16,7 @@ from model.capture.checking import check_capture
 from model.capture.facts import milliradians
 from model.capture.image_check import check_image
 from model.capture.importing import import_capture
-from model.capture.record import imported_fov_deg
+from model.capture.record import imported_fov_deg, record_path
 from model.capture.sidecar import CaptureError
 
 WALL = wall_of_plane()
@@ -211,6 +211,23 @@ def test_an_import_that_is_killed_at_any_moment_can_be_repeated(frames, number):
         below=out.parent,
     )
     import_capture(files[0], sidecar, out, bin_side=2, progress=False)
+    assert imported_fov_deg(out) is not None
+
+
+def test_an_import_that_fails_leaves_the_earlier_one(frames, monkeypatch):
+    sidecar, out = frames / "sidecar.toml", frames / "corner.npz"
+    import_capture(frames / "frames.npz", sidecar, out, bin_side=2, progress=False)
+    before = {file: file.read_bytes() for file in (out, record_path(out))}
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as changed:
+        changed.setattr("os.fsync", full)
+        with pytest.raises(OSError, match="No space left") as caught:
+            import_capture(frames / "empty.npz", sidecar, out, bin_side=2, progress=False)
+    assert caught.value.filename == str(out)
+    assert {file: file.read_bytes() for file in before} == before
     assert imported_fov_deg(out) is not None
 
 

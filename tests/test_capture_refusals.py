@@ -42,6 +42,7 @@ FRAMES = {
     "all pixels are saturated: capture with a shorter exposure": RAW + 4095,
     "8-bit numbers are too coarse": (RAW / RAW.max() * 255).astype(np.uint8),
     "holds 2e+30, and 1e+30 is the most: write it in another unit": changed((0, 0, 0, 0), 2e30),
+    "holds at most 1.186e-197, which is too small: write it in another unit": RAW * 1e-200,
     "holds 2 values that are NaN or infinite: write 0": changed((0, 1, 2, 0, 0), np.nan),
     "has the shape (18, 26), which does not fit the axes": RAW[0, ..., 0, 0, 0],
     "has no array raw; it holds nothing": None,

@@ -7,6 +7,7 @@ import pytest
 from night_commands import TRAINING, night_here, refusal
 from scene_folders import contents
 
+from model.capture.sidecar_files import load_sidecar
 from model.settings import training_preset
 from scenegen import NightError
 
@@ -140,6 +141,23 @@ def test_a_training_preset_extends_one_of_its_folder(tmp_path, name):
     preset.write_text(f'extends = "{name.format(folder=tmp_path)}"\n')
     with pytest.raises(NightError, match=f"is not the name of a file inside {preset.parent}"):
         training_preset(preset)
+
+
+def test_names_in_a_file_are_not_looked_for_in_the_current_folder(tmp_path, monkeypatch):
+    here, mine = tmp_path / "here", tmp_path / "mine"
+    here.mkdir()
+    mine.mkdir()
+    (here / "base.toml").write_text("width = 2\n")
+    (here / "camera.toml").write_text("width = 640\nheight = 480\n")
+    monkeypatch.chdir(here)
+    for key, name in (("extends", "base.toml"), ("sensor", "camera.toml")):
+        (mine / "my.toml").write_text(f'{key} = "{name}"\n')
+        with pytest.raises(NightError, match=f"no preset {name}: give a file beside this one, or one of"):
+            training_preset(mine / "my.toml")
+    (here / "format").write_text('layout = "taps"\n')
+    (mine / "sidecar.toml").write_text('format = "format"\n')
+    with pytest.raises(NightError, match="no preset format: give a file beside this one, or one of espros"):
+        load_sidecar(mine / "sidecar.toml")
 
 
 @pytest.mark.parametrize("path", ["../bunny.ply", "meshes/../../bunny.ply", "linked.ply"])

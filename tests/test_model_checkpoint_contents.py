@@ -17,6 +17,7 @@ from model.run_folder.checksums import label_text, labelled
 from model.run_folder.run_config import RunError, read_config
 from model.training.checkpoint import load_checkpoint, save_checkpoint
 from model.training.checkpoint_contents import checked_position
+from model.training.loop import train
 from model.training.processes import Processes
 from model.training.state import TrainingState
 
@@ -241,3 +242,14 @@ def test_a_checkpoint_that_is_larger_than_any_of_this_network_is_not_read(full_r
             stream.truncate(2**40)  # a sparse file
         with pytest.raises(RunError, match=rf"{file}.*{2**40} bytes"):
             read()
+
+
+def test_a_checkpoint_that_is_too_short_for_its_network_is_refused_before_the_network_is_made(
+    full_run, closed_form_scenes, tmp_path, monkeypatch
+):
+    run = shutil.copytree(full_run, tmp_path / "run")
+    with (run / "checkpoint.pt").open("r+b") as stream:
+        stream.truncate(1000)
+    monkeypatch.setattr("model.training.loop.TrainingState", lambda *_: pytest.fail("the network was made"))
+    with pytest.raises(RunError, match=r"it has 1000 bytes, and the network of run\.json takes at least"):
+        train(closed_form_scenes, run, read_config(run).settings, resume=True)

@@ -15,7 +15,7 @@ from training_runs import assert_same_end, settings
 
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
-from model.training.lock import LOCK_FILE, only_training
+from model.training.lock import LOCK_FILE, _taken, only_training
 from model.training.loop import train
 from model.training.processes import Processes
 from model.training.refusals import refuse_start
@@ -150,3 +150,16 @@ def test_all_processes_of_a_refused_training_end(closed_form_scenes, tmp_path):
         said = errors_of(run).read_text()
     assert f"Error: {OURS}" in said
     assert "defect of NIGHT" not in said
+
+
+def test_a_folder_in_which_no_file_can_be_made_is_not_tried_for_ever(tmp_path, monkeypatch):
+    tried = []
+
+    def refuse(path):
+        tried.append(path)
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+
+    monkeypatch.setattr("model.training.lock.open_lock_file", refuse)
+    with pytest.raises(FileNotFoundError):
+        _taken(tmp_path)
+    assert 1 < len(tried) < 10_000

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 from night_commands import night_here
+from synthetic_dataset import write_synthetic_dataset
 from torch.nn import functional
 from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
 
-from itof import phasor_of_return
+from itof import phasor_of_return, read_image, write_image
 from model.data.class_balance import BalanceError
 from model.data.object_depth import LEAST_SPREAD_M, object_depth_m
 from model.data.rows import RowBlock
@@ -21,6 +22,7 @@ from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config
 from model.settings import TrainSettings
 from model.training.loop import train
+from model.training.refusals import TrainingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5)
@@ -175,3 +177,13 @@ def test_scenes_of_one_depth_have_a_spread_and_scenes_without_object_are_refused
         else:
             with pytest.raises(BalanceError, match="shows no object: train with --preset known-wall"):
                 object_depth_m(shards, [0])
+
+
+def test_a_ground_truth_in_millimetres_is_refused(tmp_path):
+    dataset = write_synthetic_dataset(tmp_path / "data", count=8)
+    for scene in dataset.ids():
+        file = dataset.render_folder(scene) / "mirrored.exr"
+        image = read_image(file)
+        write_image(file, {**image.channels, "depth.R": 1000 * image.channels["depth.R"]}, {})
+    with pytest.raises(TrainingError, match="is the ground truth in millimetres"):
+        train(dataset, tmp_path / "run", settings(**COURSE))

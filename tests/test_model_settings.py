@@ -24,6 +24,11 @@ def test_settings_refuse_what_makes_no_sense():
         TrainSettings(channels="paper", least_reflectance=0.5)
 
 
+def test_a_number_of_epochs_that_no_schedule_can_count_is_refused():
+    with pytest.raises(PresetError, match="max_epochs must be less than or equal to 1000000000"):
+        settings_from_dict({"max_epochs": 10**400}, "mine.toml")
+
+
 def test_every_training_preset_is_one_that_settings_take_and_differs_from_its_base_by_its_own_keys():
     paper = settings_from_dict(*training_preset("paper"))
     for file in PRESETS.glob("*.toml"):
