@@ -145,7 +145,7 @@ TABLE = [
     ("night-train {data} --out {out} --width 0", "0 is not in the range 1<=x<=1000000"),
     (f"night-train {{data}} --out {{out}} --width {BIG}", "is not in the range 1<=x<=1000000"),
     ("night-train {data} --out {out} --width 1000000", "out of memory with batch size 16 and width 1000000"),
-    ("night-train {data} --out {out} --batch-size 0", "0 is not in the range x>=1"),
+    ("night-train {data} --out {out} --batch-size 0", "0 is not in the range 1<=x<=1000000000"),
     ("night-train {data} --out {out} --ema-decay 1", "1.0 is not in the range 0<=x<1"),
     ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range x>0"),
     ("night-train {data} --out {out} --learning-rate inf", "learning_rate must be a finite number"),
