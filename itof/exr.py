@@ -107,12 +107,13 @@ def write_image(
         file.close(complete=is_complete)
 
 
-def read_image(path: str | os.PathLike[str], *, advice: str = "") -> Image:
+def read_image(path: str | os.PathLike[str], *, advice: str = "", copies: int = _COPIES) -> Image:
     """Read all channels of an EXR image as (H, W) float32.
 
     Parameters
     ----------
     advice : what to do where the file is damaged; it ends the sentence of the error.
+    copies : how many copies of the channels must fit into half of the memory; phasors need four.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def read_image(path: str | os.PathLike[str], *, advice: str = "") -> Image:
     """
     with closing(ExrInput(Path(path), advice)) as file:
         found = file.structure
-        if shortage := memory_shortage(found.float_bytes + found.unpacking_bytes, copies=_COPIES):
+        if shortage := memory_shortage(found.float_bytes + found.unpacking_bytes, copies=copies):
             raise ImageFileError(f"{path} {shortage}")
         names = list(found.channels)
         return Image(dict(zip(names, file.rows(names, 0, found.height), strict=True)), file.texts)

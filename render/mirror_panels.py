@@ -104,9 +104,12 @@ def write_mirror_panels(
     """
     if Path(out).suffix.lower() != ".png":
         raise ExportError(f"the panels are a .png file: cannot write {out}")
-    found = render_mirror_panels(dataset, scene_id, device=device, width=width)
-    figure = panels_figure(dict(zip(_TITLES, (found.corner, found.mirror, found.trick), strict=True)))
     with exported_file(out) as partial:
+        try:
+            found = render_mirror_panels(dataset, scene_id, device=device, width=width)
+        except OSError as error:  # of reading, not of `out`
+            raise RenderError(f"scene {scene_id}: {error.filename}: {error.strerror}") from None
+        figure = panels_figure(dict(zip(_TITLES, (found.corner, found.mirror, found.trick), strict=True)))
         figure.savefig(partial, format="png", dpi=_DOTS_PER_INCH)
 
 

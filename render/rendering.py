@@ -46,12 +46,14 @@ from scenegen import (
     forget_bad_render,
     read_record,
     remove_failure,
+    remove_leftovers,
     sha256_of,
     whole_file,
     whole_files,
     write_record,
 )
 from scenegen.mitsuba_description import mirrored_description, seen_description
+from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
@@ -123,8 +125,10 @@ class Renderer:
         recipe = self.settings.recipe(self.dataset, source.digest)
         forget = partial(_forget_earlier, folder, "" if self.settings.wants_transients else recipe)
         earlier = read_record(folder)
-        if earlier is None or earlier.recipe != recipe:
+        if earlier is None or earlier.recipe != recipe or _is_damaged(folder, earlier):
             forget()
+        if folder.is_dir():
+            remove_leftovers(folder)  # of any file: the folder is ours
         remove_failure(folder)
         edited = edited_attributes(self.dataset, scene_id, source.digest)
         attributes = {**self._attributes(scene_id), **edited, "recipe": recipe}
@@ -259,6 +263,11 @@ def _forget_earlier(folder: Path, recipe: str) -> None:
         file = folder / name
         if file.is_file() and (name not in kept or sha256_of(file) != kept[name].sha256):
             file.unlink()
+
+
+def _is_damaged(folder: Path, record: RenderRecord) -> bool:
+    images = {name: record.files[name] for name in IMAGE_FILES if name in record.files}
+    return any(difference(folder / name, expected) for name, expected in images.items())
 
 
 def _refuse_unlike(scene: Scene, dataset: Dataset) -> None:

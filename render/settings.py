@@ -102,7 +102,9 @@ class RenderSettings:
             )
         layout = TransientLayout(width, height, axis.bin_count, axis.bin_width_m, axis.start_opl_m)
         if self.wants_transients or self.options.has_only_bins:
-            _check_memory(layout, "--product itof" if self.wants_transients else "--method many-light")
+            needed = ["--product itof"] if self.wants_transients else []
+            needed += ["--method many-light"] if self.options.has_only_bins else []
+            _check_memory(layout, " ".join(needed))
         if self.wants_transients:
             _check_file_size(layout)
         return layout

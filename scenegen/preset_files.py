@@ -55,7 +55,7 @@ def shipped_file(kind: str, name: str) -> Path:
     """
     named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
     if name not in named:
-        raise PresetError(f"no preset {name}: give a file beside this one, or one of {', '.join(named)}")
+        raise PresetError(f"there is no {name} beside it, and in data/{kind} only {', '.join(named)}")
     return named[name]
 
 

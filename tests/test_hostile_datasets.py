@@ -152,11 +152,11 @@ def test_names_in_a_file_are_not_looked_for_in_the_current_folder(tmp_path, monk
     monkeypatch.chdir(here)
     for key, name in (("extends", "base.toml"), ("sensor", "camera.toml")):
         (mine / "my.toml").write_text(f'{key} = "{name}"\n')
-        with pytest.raises(NightError, match=f"no preset {name}: give a file beside this one, or one of"):
+        with pytest.raises(NightError, match=f"there is no {name} beside it, and in data"):
             training_preset(mine / "my.toml")
     (here / "format").write_text('layout = "taps"\n')
     (mine / "sidecar.toml").write_text('format = "format"\n')
-    with pytest.raises(NightError, match="no preset format: give a file beside this one, or one of espros"):
+    with pytest.raises(NightError, match=r"sidecar\.toml, key format: there is no format beside it"):
         load_sidecar(mine / "sidecar.toml")
 
 

@@ -19,7 +19,7 @@ from model.capture.sidecar import CaptureError
 from model.capture.sidecar_files import load_sidecar
 from model.prediction.measurement_files import measurement_of
 from model.prediction.measurement_process import FileContents
-from scenegen import PathLike, inside, sha256_of, whole_file, whole_files
+from scenegen import PathLike, inside, remove_leftovers, sha256_of, whole_file, whole_files
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,9 @@ def import_capture(
     dark = [] if meaning.dark_file is None else [inside(folder, meaning.dark_file)]
     sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, dark)]
     record_file = record_path(out)
+    if out.parent.is_dir():
+        for name in (out.name, record_file.name):
+            remove_leftovers(out.parent, name)  # of earlier versions
     with whole_files(out.parent, before=lambda: _put_record(stage / record_file.name, out)) as stage:
         with whole_file(stage / out.name) as partial:
             write_measurement(partial, contents.arrays)

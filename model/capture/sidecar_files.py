@@ -10,7 +10,7 @@ from typing import Any, Final
 from pydantic import TypeAdapter
 
 from model.capture.sidecar import CaptureError, Sidecar
-from scenegen import PathLike, read_settings, shipped_file
+from scenegen import PathLike, PresetError, read_settings, shipped_file
 from scenegen.contract import checked_data
 
 KIND: Final = "captures"  # folder of data/
@@ -36,7 +36,10 @@ def load_sidecar(name_or_file: PathLike, changes: Sequence[str] = ()) -> tuple[S
             raise CaptureError(
                 f"{origin}: format must be the name of a format in data/captures, got {base!r}"
             )
-        data = {**read_settings(KIND, shipped_file(KIND, base))[0], **data}
+        try:
+            data = {**read_settings(KIND, shipped_file(KIND, base))[0], **data}
+        except PresetError as error:
+            raise CaptureError(f"{origin}, key format: {error}") from None
     for change in changes:
         data |= _changed(change)
     sidecar: Sidecar = checked_data(TypeAdapter(Sidecar), data, origin, CaptureError)

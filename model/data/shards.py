@@ -20,11 +20,11 @@ from itof import join_components
 from model.data.array_files import read_array
 from model.data.manifest import MANIFEST_FILE, ShardManifest
 from model.data.piece_arrays import read_rows
-from model.data.renders import ShardError
+from model.data.renders import TRUTH_FILES, ShardError
 from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
 from model.settings import GroundTruth
-from scenegen import Dataset, FileHashes, Split, read_failure, read_record
+from scenegen import MEASUREMENT_FILE, Dataset, FileHashes, RenderRecord, Split, read_failure, read_record
 
 _log = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ def open_shards(
     """
     hashes = FileHashes(dataset.root)
     try:
-        manifest = update_shards(_without_failures(dataset), hashes, progress, ground_truth)
+        manifest = update_shards(_without_failures(dataset, ground_truth), hashes, progress, ground_truth)
     finally:
         hashes.save()
     folder = shard_folder(dataset, ground_truth)
@@ -118,14 +118,14 @@ def open_shards(
     return Shards(folder, manifest, join_components(np.moveaxis(reference, 0, -1)))
 
 
-def _without_failures(dataset: Dataset) -> Dataset:
-    """The dataset without the scenes that could not be rendered."""
+def _without_failures(dataset: Dataset, ground_truth: GroundTruth) -> Dataset:
+    """The dataset without the scenes that could not be rendered, to the files that are wanted."""
     scenes = dataset.index.scenes
     folders = {scene.id: dataset.render_folder(scene.id) for scene in scenes}
     failed = {
         scene
         for scene, folder in folders.items()
-        if read_failure(folder) is not None and read_record(folder) is None
+        if read_failure(folder) is not None and not _has(read_record(folder), ground_truth)
     }
     if not failed:
         return dataset
@@ -134,3 +134,8 @@ def _without_failures(dataset: Dataset) -> Dataset:
     _log.warning("%d scenes that could not be rendered are left out, first %s", len(failed), min(failed))
     kept = tuple(scene for scene in scenes if scene.id not in failed)
     return Dataset(dataset.root, replace(dataset.index, scenes=kept))
+
+
+def _has(record: RenderRecord | None, ground_truth: GroundTruth) -> bool:
+    wanted = {MEASUREMENT_FILE, TRUTH_FILES[ground_truth]}
+    return record is not None and wanted <= set(record.files)

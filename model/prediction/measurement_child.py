@@ -114,7 +114,7 @@ def _read_phasors(path: Path) -> Contents:
 
 
 def _read_channels(path: Path, wanted: tuple[str, ...]) -> Contents:
-    channels = read_image(path, advice=_WRITE_AGAIN).channels  # (H, W) each
+    channels = read_image(path, advice=_WRITE_AGAIN, copies=2).channels  # (H, W) each
     return {name: channels[name] for name in wanted if name in channels}, list(channels)
 
 

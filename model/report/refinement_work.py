@@ -130,7 +130,7 @@ class Work:
 
     def _write(self, result: RefinedScene, better: DepthMap) -> None:
         folder = self.out / SCENES_FOLDER
-        with whole_file(folder / f"{result.scene}.exr", sweep=False) as partial:  # a link is replaced
+        with whole_file(folder / f"{result.scene}.exr") as partial:  # a link is replaced
             better.write(partial, {"scene_id": result.scene})
         write_text(folder / f"{result.scene}.json", json.dumps(asdict(result), indent=1) + "\n")
 

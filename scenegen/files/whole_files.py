@@ -96,7 +96,8 @@ def whole_folder(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
 def whole_files(path: PathLike, before: Callable[[], None] = lambda: None) -> Iterator[Path]:
     """Yield a temporary folder; on success, its files are moved to the folder `path`, one after the other.
 
-    Other files in `path` stay. On an error, no file there has changed. Files are written with `whole_file`.
+    Other files in `path` stay. On an error while they are written, no file there has changed. Files are
+    written with `whole_file`.
 
     Parameters
     ----------
@@ -114,9 +115,14 @@ def whole_files(path: PathLike, before: Callable[[], None] = lambda: None) -> It
                 raise
             inner = Path(str(error.filename)).relative_to(folder)
             raise OSError(error.errno, error.strerror, str(final / inner)) from error
+        files = sorted(folder.iterdir())
+        for place in (final / file.name for file in files):
+            if place.is_dir() and not place.is_symlink():
+                raise IsADirectoryError(EISDIR, os.strerror(EISDIR), str(place))
         before()
-        for file in sorted(folder.iterdir()):
-            file.replace(final / file.name)
+        for file in files:
+            if file.exists():  # `before` may have moved it
+                file.replace(final / file.name)
         _sync(final)
 
 
