@@ -10,7 +10,7 @@ from synthetic_dataset import edit_image, write_synthetic_dataset, write_synthet
 
 from itof import ImageFileError, read_image, write_image
 from model.data.renders import ShardError, read_render
-from model.data.shards import open_shards
+from model.data.shards import _without_failures, open_shards
 from scenegen import (
     DatasetError,
     FailureRecord,
@@ -72,6 +72,8 @@ def test_a_scene_with_a_render_is_no_failure(dataset):
     record_anew(folder)
     write_failure(folder, FailureRecord(recipe="", attempts=2, reason="its mesh is broken"), "log")
     assert len(open_shards(dataset).manifest.scenes) == 6
+    # It has no transients, and they could not be rendered.
+    assert _without_failures(dataset, "simulated").ids() == [*dataset.ids()[:2], *dataset.ids()[3:]]
 
 
 def test_scenes_of_other_bounces_are_not_mixed(dataset):
