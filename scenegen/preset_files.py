@@ -32,7 +32,7 @@ def read_settings(kind: str, name_or_file: PathLike) -> tuple[dict[str, Any], st
     ------
     PresetError : there is no such file, or it is not TOML.
     """
-    named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
+    named = _shipped(kind)
     file = named.get(os.fspath(name_or_file), Path(name_or_file))
     try:
         return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
@@ -53,10 +53,14 @@ def shipped_file(kind: str, name: str) -> Path:
     ------
     PresetError : there is no such file. One in the current folder is not looked for.
     """
-    named = {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
+    named = _shipped(kind)
     if name not in named:
-        raise PresetError(f"there is no {name} beside it, and in data/{kind} only {', '.join(named)}")
+        raise PresetError(f"there is no {name}: those that come with NIGHT are {', '.join(named)}")
     return named[name]
+
+
+def _shipped(kind: str) -> dict[str, Path]:
+    return {file.stem: file for file in sorted(data_folder(kind).glob("*.toml"))}
 
 
 def data_folder(kind: str) -> Path:

@@ -152,11 +152,11 @@ def test_names_in_a_file_are_not_looked_for_in_the_current_folder(tmp_path, monk
     monkeypatch.chdir(here)
     for key, name in (("extends", "base.toml"), ("sensor", "camera.toml")):
         (mine / "my.toml").write_text(f'{key} = "{name}"\n')
-        with pytest.raises(NightError, match=f"there is no {name} beside it, and in data"):
+        with pytest.raises(NightError, match=f"there is no {name}: those that come with NIGHT are"):
             training_preset(mine / "my.toml")
     (here / "format").write_text('layout = "taps"\n')
     (mine / "sidecar.toml").write_text('format = "format"\n')
-    with pytest.raises(NightError, match=r"sidecar\.toml, key format: there is no format beside it"):
+    with pytest.raises(NightError, match=r"sidecar\.toml, key format: there is no format: those that come"):
         load_sidecar(mine / "sidecar.toml")
 
 
