@@ -45,6 +45,14 @@ def main() -> None:
     parser.add_argument("--error", type=float, default=0.01, help="error of the stages, default 0.01")
     parser.add_argument("--warm-up", type=int, default=WARM_UP, help=f"scenes, default {WARM_UP}")
     parser.add_argument("--rates-only", action="store_true", help="print the first table only")
+    parser.add_argument(
+        "--rates",
+        nargs=2,
+        action="append",
+        metavar=("SIZE", "ERROR"),
+        help="a row of the first table, such as 80x60 0.04; may be repeated",
+    )
+    parser.add_argument("--preset", default="paper", help="preset of the scenes, default paper")
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
         print_rates(Path(folder), given)
@@ -55,13 +63,15 @@ def main() -> None:
 def print_rates(root: Path, given: argparse.Namespace) -> None:
     """The first table: one worker with all cores, and one worker for each core."""
     cores = len(os.sched_getaffinity(0))
-    print(f"`--product itof`, {given.scenes} scenes after {given.warm_up} to warm up, {cores} cores\n")
+    print(f"preset {given.preset}, {given.scenes} scenes after {given.warm_up} to warm up, {cores} cores\n")
     print("| pixels | error | workers x threads | seconds per scene pair | scene pairs per hour |")
     print("|---|---|---|---|---|")
-    for size, error in RATES:
-        settings = RenderSettings(options=ManyLightOptions(error=error))
+    rates = [(size, float(error)) for size, error in given.rates or ()] or RATES
+    for number, (size, error) in enumerate(rates):
+        settings = settings_at(size, error)
         for workers in sorted({1, cores}):
-            dataset = made_dataset(root / f"{size}-{workers}", size, given.scenes + given.warm_up)
+            made = root / f"rate-{number}-{workers}"
+            dataset = made_dataset(made, given.preset, given.scenes + given.warm_up)
             with local(workers, settings.device) as client:
                 seconds = render_cost(client, dataset, settings, dataset.ids(), given.warm_up)
             row = (size, f"{error:.0%}", f"{workers} x {cores // workers}", f"{seconds:.3f}")
@@ -71,9 +81,9 @@ def print_rates(root: Path, given: argparse.Namespace) -> None:
 def print_stages(root: Path, given: argparse.Namespace) -> None:
     """The second and the third table, with one worker for each core."""
     cores = len(os.sched_getaffinity(0))
-    scenes = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", "320x240", 1344) / 1344}
-    settings = RenderSettings(options=ManyLightOptions(error=given.error))
-    dataset = made_dataset(root / "data", given.size, given.scenes + given.warm_up)
+    scenes = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", given.preset, 1344) / 1344}
+    settings = settings_at(given.size, given.error)
+    dataset = made_dataset(root / "data", given.preset, given.scenes + given.warm_up)
     ids = dataset.ids()
     with local(cores, settings.device) as client:
         phasors = render_cost(client, dataset, settings, ids, given.warm_up)
@@ -92,17 +102,20 @@ def local(workers: int, device: Any) -> Any:
     return connected(workers=workers, scheduler=None, cluster_file=None, device=device)
 
 
-def made_dataset(root: Path, size: str, count: int) -> Dataset:
-    """A dataset of the paper's preset with images of another size."""
-    made_scenes(root, size, count)
+def settings_at(size: str, error: float) -> RenderSettings:
+    """Settings for images of a size, such as ``80x60``."""
+    width, height = (int(number) for number in size.split("x"))
+    return RenderSettings(options=ManyLightOptions(error=error), resolution=(width, height))
+
+
+def made_dataset(root: Path, preset: str, count: int) -> Dataset:
+    """A dataset of a preset."""
+    made_scenes(root, preset, count)
     return open_dataset(root)
 
 
-def made_scenes(root: Path, size: str, count: int) -> float:
+def made_scenes(root: Path, preset: str, count: int) -> float:
     """Seconds that night-gen takes for a dataset. A process with Blender could not spawn workers later."""
-    width, height = size.split("x")
-    preset = root.with_suffix(".toml")
-    preset.write_text(f"[camera]\nwidth = {width}\nheight = {height}\n")
     night_gen = Path(sys.executable).with_name("night-gen")
     command = [night_gen, "scenes", root, "--preset", preset, "--count", str(count)]
     started = time.perf_counter()

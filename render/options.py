@@ -5,7 +5,8 @@ without importing it:
 
 - `method`: name of the method, as ``--method`` takes it,
 - `phasor_parts`: number of phasor images that it writes for a scene,
-- `transient_fill`: size of its compressed transients divided by their raw size (docs/performance.md).
+- `transient_fill`: size of its compressed transients divided by their raw size (docs/performance.md),
+- `edge_divisions`: how often it divides pixels that an edge crosses.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from scenegen import NightError
 
 # With one bounce, the only random error is that of the average over a pixel: 256 stratified paths suffice.
 _ONE_BOUNCE_SPP = 256
+# Divisions of a pixel that an edge crosses (render/transport/film/edge_pixels.py): the most, for errors up to
+# 1 %, and the fewest. One less makes the error of the visible area three times as large (docs/rendering.md).
+FINEST_EDGES, COARSEST_EDGES, _FINEST_ERROR = 7, 4, 0.01
 
 
 class OptionError(NightError):
@@ -52,6 +56,13 @@ class ManyLightOptions:
         if self.lights is not None and self.lights < 1:
             raise OptionError(f"--lights must be at least 1, got {self.lights}")
 
+    @property
+    def edge_divisions(self) -> int:
+        """How often a pixel is divided where an edge crosses it: less often for larger errors."""
+        if self.lights is not None or self.error <= _FINEST_ERROR:
+            return FINEST_EDGES
+        return max(COARSEST_EDGES, FINEST_EDGES - math.floor(math.log2(self.error / _FINEST_ERROR) + 1e-9))
+
     def for_one_bounce(self) -> Self:
         """Options for a scene with one bounce: unchanged, because one bounce needs no lights."""
         return self
@@ -74,6 +85,8 @@ class PathOptions:
     phasor_parts: ClassVar[int] = 1
     transient_fill: ClassVar[float] = 0.42  # noise fills every bin
     has_only_bins: ClassVar[bool] = True  # phasors come from bins, which need memory also without transients
+
+    edge_divisions: ClassVar[int] = FINEST_EDGES  # it divides no pixels
 
     spp: int = 4096
 

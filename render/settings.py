@@ -10,6 +10,7 @@ from itof import MOST_WRITTEN_BYTES, TransientLayout
 from itof.machine_memory import machine_bytes
 from render.backend import Device
 from render.options import (
+    FINEST_EDGES,
     ManyLightOptions,
     MethodOptions,
     option_names,
@@ -17,10 +18,19 @@ from render.options import (
     recipe_options,
     recorded_options,
 )
-from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, NightError, RenderingRecord
+from scenegen import (
+    IMAGE_FILES,
+    RENDERING_FILE,
+    TRANSIENT_FILES,
+    Dataset,
+    NightError,
+    RenderingRecord,
+    read_recipe,
+)
 from scenegen.preset import MOST_BOUNCES
 
 Product = Literal["transient", "itof", "both"]
+EDGES_KEY = "edge_divisions"  # of a recipe
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
 _MOST_PIXELS = 2**26  # the ground truth traces the rays of all pixels at once
 # Copies of a row block in memory, as float32: bins and sum in float64, which count twice, and two in float32.
@@ -123,7 +133,10 @@ class RenderSettings:
         ----------
         scene_sha256 : digest of the scene's files (`scenegen.scene_folder.folder_digest`).
         """
-        return json.dumps({**self.common_recipe(dataset), "scene_sha256": scene_sha256})
+        edges = self.options.edge_divisions
+        # Not in recipes of the finest division: they are older than the others.
+        coarser = {EDGES_KEY: edges} if edges < FINEST_EDGES else {}
+        return json.dumps({**self.common_recipe(dataset), **coarser, "scene_sha256": scene_sha256})
 
     def as_data(self, dataset: Dataset) -> dict[str, Any]:
         """The settings as plain data, for a dataset."""
@@ -140,6 +153,17 @@ class RenderSettings:
             "bins": [layout.bin_count, layout.bin_width_m, layout.start_opl_m],
             "frequencies_hz": list(dataset.preset.itof.frequencies_hz),
         }
+
+
+def satisfies(recipe: str, wanted: str) -> bool:
+    """Whether a render with one recipe is as good as one with the recipe `wanted`.
+
+    Also if it differs only in that pixels with edges were divided as for the smallest errors, which earlier
+    versions did for every error.
+    """
+    settings = read_recipe(wanted)
+    is_coarser = settings.pop(EDGES_KEY, None) is not None
+    return recipe == wanted or (is_coarser and recipe == json.dumps(settings))
 
 
 def settings_of(rendering: RenderingRecord, dataset: Dataset) -> RenderSettings:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from render.transport.film.edge_pixels import COARSE_DIVISIONS, FINE_DIVISIONS, divide_pixels
+from render.options import COARSEST_EDGES, FINEST_EDGES
+from render.transport.film.edge_pixels import divide_pixels
 from render.transport.film.pixels import Grid
 
 GRID = Grid(8, 6)
@@ -21,7 +22,7 @@ def share_of(edges, pixel, inside):
     return edges.weights[mine] @ inside(in_pixels(edges.points[mine]))
 
 
-def divided(inside, candidates=ALL, divisions=FINE_DIVISIONS):
+def divided(inside, candidates=ALL, divisions=FINEST_EDGES):
     def surfaces(points):
         return inside(in_pixels(points)).astype(np.uint32) + 1
 
@@ -66,7 +67,9 @@ def test_a_straight_edge_divides_pixels_by_area(angle):
     np.testing.assert_array_equal(np.sort(np.concatenate([edges.pixels, edges.uniform])), ALL)
 
 
-@pytest.mark.parametrize(("divisions", "expected"), [(FINE_DIVISIONS, 1e-5), (COARSE_DIVISIONS, 2.4e-4)])
+@pytest.mark.parametrize(
+    ("divisions", "expected"), [(FINEST_EDGES, 1e-5), (6, 3e-5), (5, 8.7e-5), (COARSEST_EDGES, 2.4e-4)]
+)
 def test_the_error_of_a_straight_edge_is_what_its_cells_allow(divisions, expected):
     errors = []
     for angle in np.random.default_rng(2).uniform(0, 2 * np.pi, 12):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 from night_commands import night_here, refusal
@@ -10,7 +11,7 @@ from render_runs import SETTINGS, results
 from itof import read_image
 from render.options import ManyLightOptions, PathOptions
 from render.settings import RenderSettings
-from scenegen import open_dataset, read_record
+from scenegen import open_dataset, read_record, write_record
 
 FEWER = ["--lights", "64", "--device", "cpu"]
 
@@ -130,3 +131,34 @@ def test_a_recipe_lists_the_options_of_both_methods_so_that_old_renders_stay_val
     assert recipe["options"] == listed
     assert list(recipe["options"]) == ["spp", "lights", "error"]  # recipes are compared as text
     assert recipe["method"] == options.method
+
+
+@pytest.mark.parametrize(
+    ("options", "divisions"),
+    [
+        (ManyLightOptions(), 7),
+        (ManyLightOptions(error=0.0005), 7),
+        (ManyLightOptions(error=0.019), 7),
+        (ManyLightOptions(error=0.02), 6),
+        (ManyLightOptions(error=0.04), 5),
+        (ManyLightOptions(error=0.5), 4),
+        (ManyLightOptions(lights=64, error=0.5), 7),  # the error decides nothing
+        (PathOptions(), 7),
+    ],
+)
+def test_pixels_with_edges_are_divided_for_the_error_and_the_recipe_says_so(unrendered, options, divisions):
+    dataset = open_dataset(unrendered)
+    assert options.edge_divisions == divisions
+    recipe = json.loads(RenderSettings(options=options).recipe(dataset, "0" * 64))
+    assert recipe.get("edge_divisions") == (divisions if divisions < 7 else None)
+
+
+def test_renders_of_versions_that_divided_every_edge_finely_are_not_made_again(rendered_copy, render_here):
+    for scene_id in open_dataset(rendered_copy).ids():
+        folder = rendered_copy / "renders" / scene_id
+        record = read_record(folder)
+        assert '"edge_divisions": 5, ' in record.recipe
+        write_record(folder, replace(record, recipe=record.recipe.replace('"edge_divisions": 5, ', "")))
+    assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
+    refused = render_here(rendered_copy, "--error", "0.1")
+    assert "--replace" in refused.stderr

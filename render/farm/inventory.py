@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from render.edited_scenes import is_edited, known_digest
-from render.settings import RenderSettings
+from render.settings import RenderSettings, satisfies
 from scenegen import Dataset, FileHashes, FileRecord, RenderRecord, read_failure, read_record
 
 # done: all files are there, intact, and have this recipe. failed: rendering with this recipe failed. other:
@@ -68,7 +68,7 @@ class Inventory:
         record = read_record(folder)
         if record is None:
             return "missing"
-        if record.recipe != recipe:
+        if not satisfies(record.recipe, recipe):
             return "other"
         if not set(self.settings.files) <= set(record.files):
             return "missing"  # rendered to a smaller product

@@ -14,7 +14,7 @@ from itof import DepthMap, Image, ImageFileError, read_image
 from render.products.content_checks import has_part, wrong_phasors, wrong_pixels
 from render.products.conversion import ExportError
 from render.products.rendered_scene import scene_and_files
-from render.settings import settings_of
+from render.settings import EDGES_KEY, settings_of
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,
@@ -168,7 +168,8 @@ class SceneSource:
 
 def _settings(record: RenderRecord) -> dict[str, Any]:
     """The part of a recipe that is the same for all scenes of a dataset."""
-    return {name: value for name, value in read_recipe(record.recipe).items() if name != "scene_sha256"}
+    own = ("scene_sha256", EDGES_KEY)  # renders of earlier versions have other edges (`satisfies`)
+    return {name: value for name, value in read_recipe(record.recipe).items() if name not in own}
 
 
 def _measured(image: Image) -> dict[str, NDArray[Any]]:

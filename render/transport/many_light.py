@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from render.options import ManyLightOptions
+from render.options import COARSEST_EDGES, ManyLightOptions
 from render.transport.film.pixels import Grid, PixelRule, gauss_rule
 from render.transport.kernels.rough_wall import register_rough_wall
 from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_surface
@@ -74,7 +74,7 @@ class ManyLight:
         if view.max_bounces > 1:
             check_many_light_scene(scene, surface is not None)
         if surface is None:
-            return ManyLightExposure(scene, view, None)
+            return ManyLightExposure(scene, view, None, self.options.edge_divisions)
         workshop = LightWorkshop(scene, surface, light_density(scene, surface, view.seed), view)
         layout, wanted = view.layout, None if self.options.lights else self.options.error
         try:
@@ -91,7 +91,7 @@ class ManyLight:
             wanted=wanted,
         )
         log.debug("%d lights of %d runs, %s", len(lights), lights.runs, field.lattice)
-        return ManyLightExposure(scene, view, field)
+        return ManyLightExposure(scene, view, field, self.options.edge_divisions)
 
     def _lights(self, workshop: LightWorkshop) -> tuple[Lights, RunValues]:
         """The lights of the image, and the hidden signal by each of their runs."""
@@ -164,11 +164,13 @@ class ManyLightExposure:
     Attributes
     ----------
     field : the hidden signal over the film; None without a hidden object.
+    edge_divisions : how often a pixel is divided where an edge crosses it.
     """
 
     scene: mi.Scene
     view: View
     field: HiddenField | None
+    edge_divisions: int
 
     @property
     def error(self) -> float | None:
@@ -200,7 +202,11 @@ class ManyLightExposure:
     @cached_property
     def _direct(self) -> DirectImage:
         view = self.view
-        return gather_direct(self.scene, self._grid, view.frequencies_hz, view.seed, view.all_is_direct)
+        return gather_direct(
+            *(self.scene, self._grid, view.frequencies_hz, view.seed),
+            edge_divisions=COARSEST_EDGES if view.all_is_direct else self.edge_divisions,
+            all_is_direct=view.all_is_direct,
+        )
 
     @property
     def _grid(self) -> Grid:

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from render.transport.film.pixels import Grid, gauss_rule, midpoint_rule
 
-# Cells of a pixel: 4 x 4 first, and 512 x 512 along an edge. A straight edge then has 800 smallest cells, of
-# which each area is known to about a tenth: 800^(1/2) x 0.1 / 512² = 1e-5 of the pixel. Each of these cells
-# has its 3 x 3 nodes elsewhere. An edge along the cells would otherwise have the same error in all of them.
-# Where the direct return is the whole signal, 64 x 64 cells suffice: 100^(1/2) x 0.1 / 64² = 2e-4 of a pixel.
-_FIRST_CELLS, FINE_DIVISIONS, COARSE_DIVISIONS = 4, 7, 4
+# Cells of a pixel: 4 x 4 first, and after seven divisions 512 x 512 along an edge. A straight edge then has
+# 800 smallest cells, of which each area is known to about a tenth: 800^(1/2) x 0.1 / 512² = 1e-5 of the
+# pixel. Each of these cells has its 3 x 3 nodes elsewhere. An edge along the cells would otherwise have the
+# same error in all of them. Where the direct return is the whole signal, 64 x 64 cells suffice: 100^(1/2) x
+# 0.1 / 64² = 2e-4 of a pixel.
+_FIRST_CELLS = 4
 _GAUSS_SIZE = 1 / 8  # of a pixel: cells from this size on take 2 x 2 nodes, smaller ones their middle
 _NINE = np.stack(np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]), axis=-1).reshape(9, 2)  # x, y
 _TURNS = np.sqrt([[2.0, 3.0], [5.0, 7.0]])  # multiples modulo 1 are spread evenly along every line of cells
@@ -49,7 +50,7 @@ def divide_pixels(
     grid: Grid,
     candidates: NDArray[np.int64],
     surfaces: Callable[[NDArray[np.float64]], NDArray[np.uint32]],
-    divisions: int = FINE_DIVISIONS,
+    divisions: int,
 ) -> EdgePixels:
     """Divide those of the candidate pixels that see several surfaces.
 

@@ -69,3 +69,14 @@ class Grid:
         """(N, n, 2) film positions, from 0 to 1, of nodes (n, 2) in pixels (N,) of row-major index."""
         corner = np.stack([pixels % self.width, pixels // self.width], axis=-1)
         return (corner[:, None] + nodes) / (self.width, self.height)
+
+
+def group_sums(
+    values: NDArray[np.complex128], group: NDArray[np.int64], count: int
+) -> NDArray[np.complex128]:
+    """(count, F) sums of values (N, F) by group (N,), in the order of N."""
+    columns = [
+        np.bincount(group, part, count) + 1j * np.bincount(group, imaginary, count)
+        for part, imaginary in zip(values.real.T, values.imag.T, strict=True)
+    ]
+    return np.stack(columns, axis=-1)

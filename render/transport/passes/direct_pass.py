@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from itof import phase_per_metre
-from render.transport.film.edge_pixels import COARSE_DIVISIONS, FINE_DIVISIONS, EdgePixels, divide_pixels
-from render.transport.film.pixels import LANES, Grid, PixelRule, gauss_rule
+from render.transport.film.edge_pixels import EdgePixels, divide_pixels
+from render.transport.film.pixels import LANES, Grid, PixelRule, gauss_rule, group_sums
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -50,6 +50,10 @@ class DirectSamples:
     opl_m: NDArray[np.float32]
     surface: NDArray[np.uint32]
 
+    def at(self, points: NDArray[np.int64]) -> DirectSamples:
+        """The direct return at some of the points, by index."""
+        return DirectSamples(self.radiance[points], self.opl_m[points], self.surface[points])
+
 
 @dataclass(frozen=True)
 class DirectImage:
@@ -71,12 +75,20 @@ class DirectImage:
 
 
 def gather_direct(
-    scene: mi.Scene, grid: Grid, frequencies_hz: tuple[float, ...], seed: int, all_is_direct: bool = False
+    scene: mi.Scene,
+    grid: Grid,
+    frequencies_hz: tuple[float, ...],
+    seed: int,
+    edge_divisions: int,
+    all_is_direct: bool = False,
 ) -> DirectImage:
     """The direct return by Gauss nodes per pixel, and by cells in pixels with edges.
 
-    Where the direct return is the whole signal (`all_is_direct`), a pixel with the outline of a surface may
-    be wrong by 2e-4, and edges within a surface have no more nodes than other places.
+    Parameters
+    ----------
+    edge_divisions : how often cells with an edge are divided into four.
+    all_is_direct : the direct return is the whole signal. Then edges within a surface have no more nodes than
+        other places.
     """
     order = direct_order(grid.width, frequencies_hz)
     if not all_is_direct:
@@ -89,14 +101,14 @@ def gather_direct(
     mixed = minimum_filter(low, 3, mode="nearest") != maximum_filter(high, 3, mode="nearest")
     mixed |= _cut_outside(scene, grid, low)
     surface = np.where(mixed, -1, low)
-    divisions = COARSE_DIVISIONS if all_is_direct else FINE_DIVISIONS
-    edges = divide_pixels(grid, np.flatnonzero(mixed), lambda points: seen_surfaces(scene, points), divisions)
+    candidates = np.flatnonzero(mixed)
+    edges = divide_pixels(grid, candidates, lambda points: seen_surfaces(scene, points), edge_divisions)
     surface.flat[edges.uniform] = low.flat[edges.uniform]
     samples = sample_direct(scene, edges.points, seed)
-    z = direct_phasors_of(samples, frequencies_hz) * edges.weights[:, None]
+    lit = np.flatnonzero(samples.radiance)
+    z = direct_phasors_of(samples.at(lit), frequencies_hz) * edges.weights[lit, None]
     flat = phasors.reshape(-1, len(frequencies_hz))
-    flat[edges.pixels] = 0
-    np.add.at(flat, edges.pixel, z)
+    flat[edges.pixels] = group_sums(z, edges.pixel[lit], len(flat))[edges.pixels]
     return DirectImage(phasors, surface, edges, samples)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.transport.film.lattice import Lattice, filled
-from render.transport.film.pixels import Grid, PixelRule
+from render.transport.film.pixels import Grid, PixelRule, group_sums
 from render.transport.lights.hidden_surface import sobol_points
 from render.transport.lights.light_pass import Lights
 from render.transport.lights.run_statistics import common_part, relative_bound
@@ -72,9 +72,10 @@ class HiddenField:
         chosen = choose_points(direct)
         values, carrier = self._exact(chosen.points), self._carrier(chosen.points)
         parts = chosen.sums(values * chosen.weights[:, None]), chosen.sums(carrier * chosen.weights[:, None])
-        whole = chosen.totals(self._carrier(direct.edges.points) * direct.edges.weights[:, None])
+        points, weights = direct.edges.points[chosen.seen], direct.edges.weights[chosen.seen]
+        whole = chosen.totals(self._carrier(points) * weights[:, None])
         scale = np.divide(whole, parts[1], out=np.ones_like(whole), where=parts[1] != 0)
-        np.add.at(z, chosen.pixels, parts[0] * scale)
+        z += group_sums(parts[0] * scale, chosen.pixels, len(z))
         return z.reshape(grid.height, grid.width, -1)
 
     def _interpolated(
@@ -113,22 +114,24 @@ class ChosenPoints:
     points, weights : (C, 2) film positions, (C,) share of the pixel.
     group : (C,) group of each point.
     pixels : (G,) row-major index of the pixel of each group.
-    all_groups : (N,) group of each point of `EdgePixels`; G for points that see nothing.
+    seen : (M,) those of the points of `EdgePixels` that see a surface.
+    seen_groups : (M,) group of each of them.
     """
 
     points: NDArray[np.float64]
     weights: NDArray[np.float64]
     group: NDArray[np.int64]
     pixels: NDArray[np.int64]
-    all_groups: NDArray[np.int64]
+    seen: NDArray[np.int64]
+    seen_groups: NDArray[np.int64]
 
     def sums(self, values: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(G, F) sum over the chosen points (C, F) of each group."""
-        return _grouped(values, self.group, len(self.pixels))
+        return group_sums(values, self.group, len(self.pixels))
 
     def totals(self, values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """(G, F) sum over all points (N, F) of each group."""
-        return _grouped(values, self.all_groups, len(self.pixels) + 1)[:-1]
+        """(G, F) sum over all points (M, F) of each group."""
+        return group_sums(values, self.seen_groups, len(self.pixels))
 
 
 @dataclass(frozen=True)
@@ -159,11 +162,13 @@ def choose_points(direct: DirectImage) -> ChosenPoints:
     """Points that are spread over what each surface fills of each pixel with an edge, of equal weights."""
     edges, surface = direct.edges, direct.edge_samples.surface.astype(np.int64)
     seen = np.flatnonzero(surface > 0)
-    key = np.stack([edges.pixel[seen], surface[seen]], axis=-1)
-    groups, group = np.unique(key.reshape(-1, 2), axis=0, return_inverse=True)
-    group = group.ravel()
-    all_groups = np.full(len(surface), len(groups))
-    all_groups[seen] = group
+    # A sort of all points would take longer than the rest of a small image.
+    surfaces = int(surface.max(initial=0)) + 1
+    number_of = np.zeros(direct.surface.size, np.int64)
+    number_of[edges.pixels] = np.arange(len(edges.pixels))
+    key = number_of[edges.pixel[seen]] * surfaces + surface[seen]
+    is_group = np.bincount(key, minlength=len(edges.pixels) * surfaces) > 0
+    groups, group = np.flatnonzero(is_group), (np.cumsum(is_group) - 1)[key]
     place = (edges.points[seen] * direct.surface.shape[::-1] % 1 * 2**_CURVE_BITS).astype(int)
     bits = [(bit, axis) for bit in range(_CURVE_BITS) for axis in (0, 1)]
     along = sum(((place[:, axis] >> bit) & 1) << (2 * bit + axis) for bit, axis in bits)
@@ -176,7 +181,8 @@ def choose_points(direct: DirectImage) -> ChosenPoints:
     kept = seen[order[chosen.ravel()]]
     number = np.repeat(np.arange(len(groups)), _EDGE_POINTS)
     weights = np.repeat(total / _EDGE_POINTS, _EDGE_POINTS)
-    return ChosenPoints(edges.points[kept], weights, number, groups[:, 0], all_groups)
+    pixels = edges.pixels[groups // surfaces]
+    return ChosenPoints(edges.points[kept], weights, number, pixels, seen, group)
 
 
 def make_field(
@@ -263,10 +269,3 @@ def _ratio(
         shape, mask = (*lattice.shape, -1), valid.reshape(lattice.shape)
         ratio = np.stack([filled(one.reshape(shape), mask).reshape(one.shape) for one in ratio])
     return ratio, valid, surface
-
-
-def _grouped(values: NDArray[np.complex128], group: NDArray[np.int64], count: int) -> NDArray[np.complex128]:
-    """(count, F) sums of values (N, F) by group (N,)."""
-    total = np.zeros((count, values.shape[1]), complex)
-    np.add.at(total, group, values)
-    return total

@@ -257,7 +257,7 @@ def _rescaled(
     edges, moments = direct.edges, []
     for points, weights, summed in (
         (chosen.points, chosen.weights, chosen.sums),
-        (edges.points, edges.weights, chosen.totals),
+        (edges.points[chosen.seen], edges.weights[chosen.seen], chosen.totals),
     ):
         amplitude, path_m = carrier_paths(field.scene, points, field.lights.centre)
         energy = weights * amplitude
