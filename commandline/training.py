@@ -65,7 +65,7 @@ def _chosen_settings(
     that one, not those of the preset.
     """
     import model
-    from model.idle_settings import IDLE
+    from model.idle_settings import idle_settings
 
     before = model.run_settings(out) if resume else {}
     named = preset or (None if resume else "default")
@@ -80,8 +80,9 @@ def _chosen_settings(
     except PresetError:
         model.settings_from_dict(without, origin)  # its own fault, if it has one
         settings = model.settings_from_dict(without | given, "options")
-    idle = sorted(name for name in given.keys() & IDLE[settings.target] if given[name] != without.get(name))
-    if idle:
-        option = idle[0].replace("_", "-")
-        raise click.UsageError(f"--{option} changes nothing with target {settings.target}: leave it out")
+    idle = idle_settings(settings)
+    for name in sorted(given.keys() & idle.keys()):
+        if given[name] != without.get(name):
+            option = name.replace("_", "-")
+            raise click.UsageError(f"--{option} changes nothing with {idle[name]}: leave it out")
     return settings

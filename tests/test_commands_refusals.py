@@ -158,6 +158,14 @@ TABLE = [
         "night-train {data} --out {out} --preset paper --smooth-l1-beta 1",
         "--smooth-l1-beta changes nothing with target components: leave it out",
     ),
+    (
+        "night-train {data} --out {out} --amplitude-divisor maximum",
+        "--amplitude-divisor changes nothing with channels residual: leave it out",
+    ),
+    (
+        "night-train {data} --out {out} --preset paper --reference self",
+        "--reference changes nothing with channels paper: leave it out",
+    ),
     ("night-train {data} --out {out} --levels 8 --block 16", "take fewer levels or a smaller block"),
     (
         "night-train {data} --out {out} --mask-threshold nan",
