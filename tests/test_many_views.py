@@ -18,7 +18,7 @@ from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
 from model.data.scene_walls import SceneWalls
 from model.data.shards import open_shards
-from model.network.wall_view import wall_view
+from model.network.wall_view import WallView, wall_view
 from model.prediction.measurement_files import MeasurementError
 from model.prediction.prediction_files import predict_file
 from model.prediction.predictor import InputError, load
@@ -130,6 +130,29 @@ def test_the_wall_of_each_scene_is_found_along_the_rays_of_its_own_camera(views)
     wrong = one_view.batch(one_view.upload(block)).channels.numpy()
     # Rays that are wrong by up to four degrees bend a plane by centimetres: tens of times the hidden light.
     assert np.abs(wrong[:, :3]).max() > 10 * np.abs(channels[:, :3]).max()
+
+
+@pytest.mark.parametrize(
+    ("low_deg", "high_deg", "scenes", "computed"),
+    [
+        (55.0, 65.0, 200, 16),
+        (50.0, 70.0, 200, 16 + 32),
+        (20.0, 150.0, 200, 16 + 32 + 200),  # at the widest, rays miss the wall
+        (55.0, 65.0, 12, 12),
+    ],
+)
+def test_the_walls_of_many_views_are_those_of_each_view(
+    low_deg, high_deg, scenes, computed, views, monkeypatch
+):
+    view, views_deg = wall_view(views), tuple(np.linspace(low_deg, high_deg, scenes).tolist())
+    exact = {fov_deg: view.with_fov(fov_deg).direct_phasors(24, 14, (20e6, 60e6)) for fov_deg in views_deg}
+    made, compute = [], WallView.direct_phasors
+    monkeypatch.setattr(WallView, "direct_phasors", lambda *given: made.append(1) or compute(*given))
+    found = SceneWalls(view, views_deg, 24, 14, (20e6, 60e6)).of(range(scenes)).direct
+    assert len(made) == computed
+    wanted = np.stack([exact[fov_deg] for fov_deg in views_deg])
+    # complex64 rounds each part.
+    assert np.abs(found - wanted).max() < 2 * np.finfo(np.float32).eps * np.abs(wanted).max()
 
 
 def test_a_network_learns_resumes_and_is_judged_on_many_views(views, run, tmp_path):

@@ -5,18 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 import torch
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
 
 from itof.wall.expected_wall import ExpectedWall
 from model.data.shards import Shards
 from model.network.wall_view import WallView
 
+# Fields of view at which the direct return is computed, for the interpolation: as many of these as it needs
+# for an error of 1e-9; complex64 rounds to 6e-8. Views that differ by 10 degrees need 16.
+_NODES: Final = (16, 32)
+_ERROR: Final = 1e-9
+_MOST_BYTES: Final = 2**28  # of what is interpolated
+
 
 @dataclass(frozen=True)
 class SceneWalls:
     """Makes the expected walls of scenes from their fields of view.
+
+    The direct return takes a tenth of a second at 80 x 60 pixels. It varies smoothly with the field of view,
+    so it is computed for a few of them and interpolated between them by Chebyshev polynomials.
 
     Attributes
     ----------
@@ -48,5 +61,41 @@ class SceneWalls:
 
     def _of_row(self, row: int) -> ExpectedWall:
         view = self.view.with_fov(self.fields_of_view_deg[row])
-        direct = view.direct_phasors(self.width, self.height, self.frequencies_hz)
+        series = self._series
+        if series is None:
+            direct = self._direct(view.horizontal_fov_deg)
+        else:
+            direct = chebyshev.chebval(self._place(view.horizontal_fov_deg), series)
         return view.expected_wall(direct.astype(np.complex64), self.frequencies_hz)
+
+    def _direct(self, fov_deg: float) -> NDArray[np.complex128]:
+        return self.view.with_fov(fov_deg).direct_phasors(self.width, self.height, self.frequencies_hz)
+
+    @property
+    def _range_deg(self) -> tuple[float, float]:
+        return min(self.fields_of_view_deg), max(self.fields_of_view_deg)
+
+    def _place(self, fov_deg: float) -> float:
+        """A field of view as a number from -1 to 1."""
+        low, high = self._range_deg
+        return (2 * fov_deg - low - high) / (high - low)
+
+    @cached_property
+    def _series(self) -> NDArray[np.complex128] | None:
+        """(K, H, W, F) coefficients of the direct return; None if every one is computed by itself.
+
+        So it is for a few scenes, for large images, and where the series does not converge, as where rays
+        miss the wall.
+        """
+        low, high = self._range_deg
+        for count in _NODES:
+            size = 16 * count * self.width * self.height * len(self.frequencies_hz)
+            if count >= len(set(self.fields_of_view_deg)) or size > _MOST_BYTES:
+                break
+            nodes = chebyshev.chebpts1(count)
+            values = np.stack([self._direct((low + high + (high - low) * node) / 2) for node in nodes])
+            shares = chebyshev.chebvander(nodes, count - 1).T * (2 - (np.arange(count) == 0))[:, None] / count
+            series = np.tensordot(shares, values, axes=1)
+            if np.all(np.abs(series[-2:]).max(axis=0) <= _ERROR * np.abs(values).min(axis=0)):
+                return series
+        return None
