@@ -80,7 +80,7 @@ def _chosen_settings(
     except PresetError:
         model.settings_from_dict(without, origin)  # its own fault, if it has one
         settings = model.settings_from_dict(without | given, "options")
-    idle = idle_settings(settings)
+    idle = idle_settings(settings.target, settings.channels)
     for name in sorted(given.keys() & idle.keys()):
         if given[name] != without.get(name):
             option = name.replace("_", "-")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from model.settings import TrainSettings
-
 _BY_TARGET: Final[Mapping[str, frozenset[str]]] = {
     "components": frozenset({"smooth_l1_beta"}),
     "depth": frozenset({"smooth_l1_beta", "loss_on", "mask_from", "mask_gradient"}),
@@ -17,10 +15,14 @@ _BY_TARGET: Final[Mapping[str, frozenset[str]]] = {
 _OF_CHANNELS: Final[Mapping[str, str]] = {"amplitude_divisor": "paper", "reference": "residual"}
 
 
-def idle_settings(settings: TrainSettings) -> dict[str, str]:
-    """Names of the settings that change nothing, and with what, such as ``target depth``."""
-    by_target = dict.fromkeys(_BY_TARGET[settings.target], f"target {settings.target}")
-    channels = settings.channels
+def idle_settings(target: str, channels: str) -> dict[str, str]:
+    """Names of the settings that change nothing, and with what, such as ``target depth``.
+
+    Parameters
+    ----------
+    target, channels : as in `model.settings.TrainSettings`.
+    """
+    by_target = dict.fromkeys(_BY_TARGET[target], f"target {target}")
     by_channels = {
         name: f"channels {channels}" for name, needed in _OF_CHANNELS.items() if needed not in channels
     }

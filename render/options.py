@@ -85,7 +85,6 @@ class PathOptions:
     phasor_parts: ClassVar[int] = 1
     transient_fill: ClassVar[float] = 0.42  # noise fills every bin
     has_only_bins: ClassVar[bool] = True  # phasors come from bins, which need memory also without transients
-
     edge_divisions: ClassVar[int] = FINEST_EDGES  # it divides no pixels
 
     spp: int = 4096

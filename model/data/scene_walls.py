@@ -56,12 +56,12 @@ class SceneWalls:
 
     def of(self, rows: Sequence[int]) -> ExpectedWall:
         """The walls of rows, one each, with their direct return in complex64."""
+        series = self._series  # once, before the threads
         with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # numpy lets other threads work
-            return ExpectedWall.stacked(list(pool.map(self._of_row, rows)))
+            return ExpectedWall.stacked(list(pool.map(lambda row: self._of_row(row, series), rows)))
 
-    def _of_row(self, row: int) -> ExpectedWall:
+    def _of_row(self, row: int, series: NDArray[np.complex128] | None) -> ExpectedWall:
         view = self.view.with_fov(self.fields_of_view_deg[row])
-        series = self._series
         if series is None:
             direct = self._direct(view.horizontal_fov_deg)
         else:

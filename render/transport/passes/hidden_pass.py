@@ -163,11 +163,11 @@ def choose_points(direct: DirectImage) -> ChosenPoints:
     edges, surface = direct.edges, direct.edge_samples.surface.astype(np.int64)
     seen = np.flatnonzero(surface > 0)
     # A sort of all points would take longer than the rest of a small image.
-    surfaces = int(surface.max(initial=0)) + 1
+    surfaces = np.flatnonzero(np.bincount(surface[seen]))  # a few numbers
     number_of = np.zeros(direct.surface.size, np.int64)
     number_of[edges.pixels] = np.arange(len(edges.pixels))
-    key = number_of[edges.pixel[seen]] * surfaces + surface[seen]
-    is_group = np.bincount(key, minlength=len(edges.pixels) * surfaces) > 0
+    key = number_of[edges.pixel[seen]] * len(surfaces) + np.searchsorted(surfaces, surface[seen])
+    is_group = np.bincount(key) > 0
     groups, group = np.flatnonzero(is_group), (np.cumsum(is_group) - 1)[key]
     place = (edges.points[seen] * direct.surface.shape[::-1] % 1 * 2**_CURVE_BITS).astype(int)
     bits = [(bit, axis) for bit in range(_CURVE_BITS) for axis in (0, 1)]
@@ -181,7 +181,7 @@ def choose_points(direct: DirectImage) -> ChosenPoints:
     kept = seen[order[chosen.ravel()]]
     number = np.repeat(np.arange(len(groups)), _EDGE_POINTS)
     weights = np.repeat(total / _EDGE_POINTS, _EDGE_POINTS)
-    pixels = edges.pixels[groups // surfaces]
+    pixels = edges.pixels[groups // max(1, len(surfaces))]
     return ChosenPoints(edges.points[kept], weights, number, pixels, seen, group)
 
 
