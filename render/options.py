@@ -20,7 +20,8 @@ from scenegen import NightError
 # With one bounce, the only random error is that of the average over a pixel: 256 stratified paths suffice.
 _ONE_BOUNCE_SPP = 256
 # Divisions of a pixel that an edge crosses (render/transport/film/edge_pixels.py): the most, for errors up to
-# 1 %, and the fewest. One less makes the error of the visible area three times as large (docs/rendering.md).
+# 1 %, and the fewest, also for the mirrored scene, which has no hidden light. One less makes the error of the
+# visible area 2^1.5 times as large (docs/rendering.md, Pixels with edges).
 FINEST_EDGES, COARSEST_EDGES, _FINEST_ERROR = 7, 4, 0.01
 
 
@@ -58,10 +59,14 @@ class ManyLightOptions:
 
     @property
     def edge_divisions(self) -> int:
-        """How often a pixel is divided where an edge crosses it: less often for larger errors."""
+        """How often a pixel is divided where an edge crosses it.
+
+        Less often for larger errors, so that edges have at most the share of `error` that they have at 1 %.
+        """
         if self.lights is not None or self.error <= _FINEST_ERROR:
             return FINEST_EDGES
-        return max(COARSEST_EDGES, FINEST_EDGES - math.floor(math.log2(self.error / _FINEST_ERROR) + 1e-9))
+        fewer = math.floor(math.log2(self.error / _FINEST_ERROR) / 1.5 + 1e-9)
+        return max(COARSEST_EDGES, FINEST_EDGES - fewer)
 
     def for_one_bounce(self) -> Self:
         """Options for a scene with one bounce: unchanged, because one bounce needs no lights."""

@@ -158,8 +158,8 @@ class RenderSettings:
 def satisfies(recipe: str, wanted: str) -> bool:
     """Whether a render with one recipe is as good as one with the recipe `wanted`.
 
-    Also if it differs only in that pixels with edges were divided as for the smallest errors, which earlier
-    versions did for every error.
+    The recipes may differ in one thing: earlier versions divided pixels with edges as finely for every error
+    as for the smallest ones.
     """
     settings = read_recipe(wanted)
     is_coarser = settings.pop(EDGES_KEY, None) is not None

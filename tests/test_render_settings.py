@@ -138,9 +138,9 @@ def test_a_recipe_lists_the_options_of_both_methods_so_that_old_renders_stay_val
     [
         (ManyLightOptions(), 7),
         (ManyLightOptions(error=0.0005), 7),
-        (ManyLightOptions(error=0.019), 7),
-        (ManyLightOptions(error=0.02), 6),
-        (ManyLightOptions(error=0.04), 5),
+        (ManyLightOptions(error=0.028), 7),
+        (ManyLightOptions(error=0.029), 6),
+        (ManyLightOptions(error=0.08), 5),
         (ManyLightOptions(error=0.5), 4),
         (ManyLightOptions(lights=64, error=0.5), 7),  # the error decides nothing
         (PathOptions(), 7),
@@ -157,8 +157,8 @@ def test_renders_of_versions_that_divided_every_edge_finely_are_not_made_again(r
     for scene_id in open_dataset(rendered_copy).ids():
         folder = rendered_copy / "renders" / scene_id
         record = read_record(folder)
-        assert '"edge_divisions": 5, ' in record.recipe
-        write_record(folder, replace(record, recipe=record.recipe.replace('"edge_divisions": 5, ', "")))
+        assert '"edge_divisions": 6, ' in record.recipe
+        write_record(folder, replace(record, recipe=record.recipe.replace('"edge_divisions": 6, ', "")))
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
     refused = render_here(rendered_copy, "--error", "0.1")
     assert "--replace" in refused.stderr

@@ -82,10 +82,12 @@ class SceneWalls:
 
     @cached_property
     def _series(self) -> NDArray[np.complex128] | None:
-        """(K, H, W, F) coefficients of the direct return; None if every one is computed by itself.
+        """(K, H, W, F) Chebyshev coefficients of the direct return; None if it is computed for each scene.
 
-        So it is for a few scenes, for large images, and where the series does not converge, as where rays
-        miss the wall.
+        There is no series for a few scenes, for large images, and where it does not converge, such as where
+        rays miss the wall.
+
+        Source: Gauss-Chebyshev quadrature, which is exact for polynomials of degree below K.
         """
         low, high = self._range_deg
         for count in _NODES:

@@ -74,7 +74,12 @@ class Grid:
 def group_sums(
     values: NDArray[np.complex128], group: NDArray[np.int64], count: int
 ) -> NDArray[np.complex128]:
-    """(count, F) sums of values (N, F) by group (N,), in the order of N."""
+    """(count, F) sums of the values (N, F) of each group, added in their order.
+
+    Parameters
+    ----------
+    group : (N,) number of the group of each value, below `count`.
+    """
     columns = [
         np.bincount(group, part, count) + 1j * np.bincount(group, imaginary, count)
         for part, imaginary in zip(values.real.T, values.imag.T, strict=True)
