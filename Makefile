@@ -12,7 +12,7 @@ PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist loadfile
 # One process, which runs two commands at a time and has one seed and one table of results.
 FUZZ := $(BIN)/pytest tests/fuzz
 
-.PHONY: setup demo judge test test-long fuzz lint clean
+.PHONY: setup demo judge test test-long test-thorough fuzz lint clean
 
 setup: $(VENV)/.installed
 
@@ -29,12 +29,16 @@ lint: setup
 
 # What to run before a commit.
 test: lint
-	$(PYTEST) -m "not long"
+	$(PYTEST) -m "not long and not thorough"
 
 # Kill campaigns, thousands of scenes, convergence studies.
 test-long: setup
-	$(PYTEST) -m long --ignore tests/fuzz
+	$(PYTEST) -m "long and not thorough" --ignore tests/fuzz
 	$(FUZZ) -m long
+
+# The same for more inputs, which CI has no time for.
+test-thorough: setup
+	$(PYTEST) -m thorough
 
 # The campaign of docs/security.md: about 9,000 damaged files and 280 kills; its table is in fuzz.md.
 fuzz: setup

@@ -20,7 +20,10 @@ def table(*words):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("preset", ["paper", "default", "ablation-20mhz"])
+@pytest.mark.parametrize(
+    "preset",
+    ["default", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("paper", "ablation-20mhz"))],
+)
 def test_an_untrained_network_of_any_preset_is_measured_at_every_size(preset):
     rows = table(
         "--preset", preset, "--size", "32x24", "--size", "80x60", "--seconds", "0.1", "--device", "cpu"

@@ -47,7 +47,7 @@ def test_a_glossy_wall_is_interpolated_with_a_quarter_of_the_wanted_error(varian
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("wanted", [0.01, 0.003])
+@pytest.mark.parametrize("wanted", [0.01, pytest.param(0.003, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
     "shapes",
     [

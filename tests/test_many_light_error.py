@@ -122,7 +122,7 @@ def test_sixteen_times_the_lights_have_less_than_a_quarter_of_the_error(four_sha
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["sphere", "cube"])
+@pytest.mark.parametrize("name", ["sphere", pytest.param("cube", marks=pytest.mark.thorough)])
 def test_the_error_falls_faster_than_one_over_the_root_of_the_lights(true_rms, name):
     counts = [64, 128, 256, 512, 1024]
     rms = np.array([true_rms(name, count) for count in counts])  # (N, F)
@@ -146,7 +146,7 @@ def test_the_error_of_a_composite_falls_at_least_like_that_of_random_points(true
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("lights", [256, 1024])
+@pytest.mark.parametrize("lights", [pytest.param(256, marks=pytest.mark.thorough), 1024])
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_reported_error_is_above_the_true_error_by_a_factor_of_about_two(
     four_shapes, true_rms, variant, name, lights

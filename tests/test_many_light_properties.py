@@ -201,13 +201,13 @@ STEADY = settings(
 
 
 @pytest.mark.long
-@settings(STEADY, max_examples=3)
+@settings(STEADY, max_examples=15)
 @given(drawn=corners())
 def test_any_corner_is_rendered_or_refused(drawn, variant):
     check(drawn, variant)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @settings(STEADY, max_examples=120)
 @given(drawn=corners())
 def test_a_hundred_and_twenty_corners_are_rendered_or_refused(drawn, variant):
@@ -215,13 +215,13 @@ def test_a_hundred_and_twenty_corners_are_rendered_or_refused(drawn, variant):
 
 
 @pytest.mark.long
-@settings(STEADY, max_examples=2)
+@settings(STEADY, max_examples=6)
 @given(preset=presets())
 def test_any_preset_is_rendered_or_refused(preset, make_dataset, variant):
     check_preset(preset, make_dataset, variant)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @settings(STEADY, max_examples=30)
 @given(preset=presets())
 def test_thirty_presets_are_rendered_or_refused(preset, make_dataset, variant):

@@ -62,9 +62,9 @@ def test_shares_of_a_batch_are_all_of_it_once_and_the_lent_row_counts_nothing(co
 @pytest.mark.parametrize(
     "special",
     [
-        {"batch_size": 4},
         {"batch_size": 5},
-        {"copies_per_change": 3},
+        pytest.param({"batch_size": 4}, marks=pytest.mark.thorough),
+        pytest.param({"copies_per_change": 3}, marks=pytest.mark.thorough),
         {"bounce_images": True},
         {"optimiser": "muon"},
     ],
@@ -119,7 +119,7 @@ def test_two_processes_whose_launcher_is_stopped_go_on_to_the_same_weights(datas
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.thorough)])
 def test_a_process_ends_as_its_signal_says_and_the_run_goes_on_to_the_same_weights(dataset, tmp_path, number):
     run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 1, "ema_decay": 0.9}
     process = start(dataset, run, **changes)
@@ -135,9 +135,12 @@ def test_a_process_ends_as_its_signal_says_and_the_run_goes_on_to_the_same_weigh
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler (Debian: g++)")
 def test_a_compiled_network_trains_as_the_plain_one(dataset, tmp_path):
-    compiled = tmp_path / "compiled"
-    assert start(dataset, compiled, max_epochs=1, compile=True).wait() == 0, errors_of(compiled).read_text()
-    train(dataset, tmp_path / "plain", settings(**COURSE | {"max_epochs": 1}))
+    compiled, small = (
+        tmp_path / "compiled",
+        {"max_epochs": 1, "levels": 1},
+    )  # each level takes 40 s to compile
+    assert start(dataset, compiled, compile=True, **small).wait() == 0, errors_of(compiled).read_text()
+    train(dataset, tmp_path / "plain", settings(**COURSE | small))
     plain, fast = checkpoint(tmp_path / "plain")["network"], checkpoint(compiled)["network"]
     for name, weight in plain.items():
         torch.testing.assert_close(fast[name], weight, rtol=1e-3, atol=1e-5, msg=name)

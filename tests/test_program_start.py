@@ -1,5 +1,6 @@
 """How a program starts: with modules of its own, open streams, a place for caches, and few open files."""
 
+import itertools
 import os
 import signal
 import stat
@@ -172,21 +173,27 @@ def every_command(folder):
     ]
 
 
+POOR = (
+    'ulimit -n 64; exec env -i PATH=/usr/bin:/bin "$@" <&-',
+    'exec env HOME=/proc/nowhere "$@" >&-',
+    'exec "$@" 2>&-',
+    'exec "$@" <&- >&- 2>&-',
+    f'exec "$@" 2>{FULL}',
+)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "line",
+    "lines",
     [
-        'ulimit -n 64; exec env -i PATH=/usr/bin:/bin "$@" <&-',
-        'exec env HOME=/proc/nowhere "$@" >&-',
-        'exec "$@" 2>&-',
-        'exec "$@" <&- >&- 2>&-',
-        f'exec "$@" 2>{FULL}',
+        pytest.param(POOR, id="in turn"),
+        *(pytest.param([line], id=line, marks=pytest.mark.thorough) for line in POOR),
     ],
 )
-def test_every_command_works_in_poor_surroundings(tmp_path, line):
-    for command in every_command(tmp_path):
+def test_every_command_works_in_poor_surroundings(tmp_path, lines):
+    for command, line in zip(every_command(tmp_path), itertools.cycle(lines), strict=False):
         done = shell(line, *command)
-        assert done.returncode == 0, (command, done.stdout, done.stderr)
+        assert done.returncode == 0, (command, line, done.stdout, done.stderr)
         assert "Traceback" not in done.stdout + done.stderr
         assert not done.stderr or "2>" not in line
 

@@ -54,7 +54,7 @@ def test_workers_that_grow_make_way_for_fresh_ones_and_render_the_same(three_mis
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough), 4])
 def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_renders, workers):
     done = night("night-render", unrendered, *SETTINGS, "--workers", workers)
     assert done.returncode == 0, done.stderr
