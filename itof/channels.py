@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from array_api_compat import array_namespace, is_array_api_obj, is_numpy_array
 
+from itof.other_surfaces import only_wall
 from itof.weighted_reference import SubpixelWeights, check_weights, quotient, weighted_reference
 
 
@@ -68,7 +69,9 @@ def phasors_of_channels(channels: Any, amplitude_scale: float) -> Any:
     return (c[..., 1 : 1 + count] + 1j * c[..., 1 + count :]) * (c[..., :1] * amplitude_scale)
 
 
-def residual_channels(phasor: Any, reference: Any, weights: SubpixelWeights = "measured") -> Any:
+def residual_channels(
+    phasor: Any, reference: Any, weights: SubpixelWeights = "measured", *, wall_alone: bool = False
+) -> Any:
     """Channels without the direct return: [Im r_f (F of them), Re r_f - Re r_0 (F - 1 of them)].
 
     r_f = (z_f / reference_f) |reference_0| / |z_0|. The division by the relay wall's known direct return
@@ -95,6 +98,8 @@ def residual_channels(phasor: Any, reference: Any, weights: SubpixelWeights = "m
         see `itof.wall.self_calibration`.
     weights : ``measured``: the reference is weighted by the amplitudes of `phasor`; ``uniform``: it is used
         as it is.
+    wall_alone : pixels that show something else than the relay wall, and those at its edge, are 0
+        (`itof.other_surfaces`).
 
     Returns
     -------
@@ -109,6 +114,7 @@ def residual_channels(phasor: Any, reference: Any, weights: SubpixelWeights = "m
     _check_reference(known.shape, z.shape)
     known = _weighted(known, xp.abs(z[..., 0]), weights)
     turned = quotient(xp, z, known) * quotient(xp, xp.abs(known[..., :1]), xp.abs(z[..., :1]))
+    turned = only_wall(turned) if wall_alone else turned
     real = xp.real(turned)
     return _image_axes_last(xp, [xp.imag(turned), real[..., 1:] - real[..., :1]])
 

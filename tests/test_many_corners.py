@@ -131,6 +131,22 @@ def test_the_wall_channel_is_the_inverse_distance_of_each_scenes_wall(corners):
     np.testing.assert_array_equal(channels[:, :5], plain.apply(z, plain.reference_for(z, wall)))
 
 
+def test_beside_pixels_without_light_the_residual_channels_are_zero_and_the_wall_goes_on(corners):
+    shards, view = open_shards(corners), wall_view(corners)
+    spec = fit_input_spec("residual+wall", shards, range(12), reference="self", view=view)
+    z = shards.complex_phasors([0])
+    z[..., 18:, :] = 0  # the middle wall, which is dark
+    wall = view.expected_wall(shards.reference, spec.frequencies_hz)
+    channels = spec.apply(z, spec.reference_for(z, wall))
+    assert not channels[0, :5, :, 17:].any()
+    assert channels[0, :5, :, :17].any(axis=0).all()
+    truth = inverse_distance_per_m(corners.scene("000000"), *z.shape[1:3])
+    mean, spread = spec.wall_scale_per_m
+    np.testing.assert_allclose(channels[0, 5] * spread + mean, truth, atol=2e-2)  # half of it is not seen
+    kept = replace(spec, wall_alone=False)  # as in runs before this was so
+    assert kept.apply(z, kept.reference_for(z, wall))[0, :5, :, 17].any()
+
+
 def test_torch_gives_the_channels_of_numpy_and_flips_turn_the_wall_over(corners):
     shards, rows, view = open_shards(corners), list(range(4)), wall_view(corners)
     spec = fit_input_spec("residual+wall", shards, rows, reference="self", view=view)
@@ -162,6 +178,7 @@ def test_a_network_learns_resumes_and_is_judged_on_many_corners(corners, run, tm
     config = read_config(run)
     assert config.inputs.channels == "residual+wall"
     assert config_of(run)["inputs"]["wall_scale_per_m"] == list(config.inputs.wall_scale_per_m)
+    assert config_of(run)["inputs"]["wall_alone"] is True
     assert config.geometry == wall_view(corners)
     train(corners, tmp_path / "parts", settings(**SHOWN | {"max_epochs": 1}))
     train(corners, tmp_path / "parts", settings(**SHOWN | {"max_epochs": 2}), resume=True)

@@ -56,6 +56,7 @@ def fit_input_spec(
     residuals = 2 * len(chosen) - 1 if "residual" in channels else 0
     no_scale = (1.0, 1.0) if "wall" in channels else None
     unscaled = InputSpec(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference, no_scale)
+    unscaled = replace(unscaled, wall_alone=unscaled.shows_wall)
     places = unscaled.places(available)
     direct = shards.reference[..., places]
     if unscaled.self_calibrates and view is None:
@@ -74,7 +75,8 @@ def fit_input_spec(
                 seen = phasors[..., places]
                 known = _reference(unscaled, seen, wall) if wall else direct
                 known, inverse = unscaled.parted(known)
-                residual = residual_channels(seen, known).astype(np.float64)  # (n, 2F - 1, H, W)
+                residual = residual_channels(seen, known, wall_alone=unscaled.wall_alone)  # (n, 2F - 1, H, W)
+                residual = residual.astype(np.float64)
                 if wall and unscaled.shows_wall:
                     walls.extend(_wall_statistics(inverse[..., 0].real.astype(np.float64), wall))
                 means.extend(residual.mean(axis=(2, 3)))

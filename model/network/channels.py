@@ -39,7 +39,9 @@ class InputSpec:
 
     ``residual+wall``: one more, the inverse distance of the wall along the ray of each pixel, as the fit of
     ``self`` finds it, less its mean and over its standard deviation over the training scenes. With it the
-    network knows the corner, which may be another one in every image.
+    network knows the corner, which may be another one in every image. The residual channels are 0 in pixels
+    that show something else than the wall, or its edge, because the camera of some corners sees the middle
+    wall.
 
     Attributes
     ----------
@@ -55,6 +57,7 @@ class InputSpec:
     largest_shift_m : with the channel of the wall: the largest mean shift of a wall among the training
         scenes, metres along the rays.
     training_mean_amplitude : mean A_0 of the training scenes; None if `amplitude_scale` is the mean.
+    wall_alone : as for `itof.residual_channels`. False in runs whose ``run.json`` has no such key.
 
     Raises
     ------
@@ -77,6 +80,7 @@ class InputSpec:
     ] = None
     largest_shift_m: Annotated[float, Field(ge=0, exclude_if=lambda value: value == 0)] = 0.0
     training_mean_amplitude: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
+    wall_alone: Annotated[bool, Field(exclude_if=lambda value: not value)] = False
 
     def __post_init__(self) -> None:
         expected = self._residual_count if self.uses_residual else 0
@@ -219,7 +223,8 @@ class InputSpec:
             if reference is None:
                 raise ValueError(f"channels {self.channels} need the relay wall's direct return as reference")
             direct, inverse = self.parted(reference)
-            residual = residual_channels(z, direct, "uniform" if is_weighted else self.subpixel_weights)
+            weights = "uniform" if is_weighted else self.subpixel_weights
+            residual = residual_channels(z, direct, weights, wall_alone=self.wall_alone)
             scale = xp.asarray(self.residual_scale, dtype=xp.float32, device=device(z))
             parts.append(residual / scale[:, None, None])  # (2F - 1, 1, 1)
             if self.wall_scale_per_m:

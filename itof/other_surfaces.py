@@ -1,0 +1,42 @@
+"""Pixels that show something else than the relay wall, or its edge.
+
+Such a pixel's light is not that of the wall, so the phase over the wall's direct return is not that of the
+hidden light: where the edge of the middle wall cuts a pixel, it is up to a hundred times as large.
+
+Arrays may be of numpy or of any other library that supports the array API standard.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any, Final
+
+from array_api_compat import array_namespace
+
+# Phases over the wall's direct return, radians. The fit of the wall gives no weight to pixels with the first
+# (`itof.wall.self_calibration`); their neighbours may be at the edge. The second is that of an edge for
+# certain, and more than the hidden light of the preset `any-corner` has (docs/experiments.md, Many corners).
+_ELSEWHERE_RAD: Final = 0.25
+_EDGE_RAD: Final = 0.05
+
+
+def only_wall(turned: Any) -> Any:
+    """Phasors over the direct return of the wall, (..., H, W, F), with 0 where they do not show it alone.
+
+    These are pixels without light at some frequency, or with a phase of more than 0.25 rad, and the eight
+    neighbours of both; and pixels with a phase of more than 0.05 rad.
+    """
+    xp = array_namespace(turned)
+    real, imaginary = xp.real(turned), xp.abs(xp.imag(turned))
+    elsewhere = xp.any((turned == 0) | (imaginary > _ELSEWHERE_RAD * real), axis=-1)  # (..., H, W)
+    edge = xp.any(imaginary > _EDGE_RAD * real, axis=-1)
+    left_out = _with_neighbours(xp, _with_neighbours(xp, elsewhere, -1), -2) | edge
+    return xp.where(left_out[..., None], xp.zeros_like(turned), turned)
+
+
+def _with_neighbours(xp: ModuleType, chosen: Any, axis: int) -> Any:
+    """(..., n) bool: whether a pixel or one of the two beside it, along `axis`, is chosen."""
+    c = xp.moveaxis(chosen, axis, -1)
+    none = xp.zeros_like(c[..., :1])
+    beside = xp.concat([c[..., 1:], none], axis=-1) | xp.concat([none, c[..., :-1]], axis=-1)
+    return xp.moveaxis(c | beside, -1, axis)
