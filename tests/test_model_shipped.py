@@ -17,10 +17,11 @@ from model.run_folder.shipped import run_folder
 ROOT = Path(__file__).parent.parent
 MOST_BYTES = 40e6  # of all of them
 RUNS = model.shipped_runs()
-# Scenes that a network is for, and what 30 of them must give. Its card says more; single scenes scatter by
-# 0.1 and 1 to 2 cm, their mean by a fifth of that.
+# Scenes that a network is for, and what 16 of them must give. Its card says more; single scenes scatter by
+# 0.1 and 1 to 2 cm, their mean by a quarter of that.
 ONE_CORNER = ("judge", 0.82, 0.04)  # preset, smallest mIoU, largest MAE in metres
-SCENES = {"any-corner-40x30": ("judge-any-corner", 0.76, 0.05)}
+MANY_CORNERS = ("judge-any-corner", 0.76, 0.05)
+SCENES = {"any-corner-40x30": MANY_CORNERS, "any-corner-80x60": MANY_CORNERS}
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -92,8 +93,8 @@ def test_it_finds_objects_in_scenes_that_nobody_trained_on(name, tmp_path):
     preset, least_miou, largest_mae_m = SCENES.get(name, ONE_CORNER)
     new = tmp_path / "new"
     for command in (
-        ("night-gen", "scenes", new, "--preset", preset, "--count", 30, "--seed", 20261122),
-        ("night-render", new, "--product", "itof", "--resolution", size, "--error", 0.02),
+        ("night-gen", "scenes", new, "--preset", preset, "--count", 16, "--seed", 20261122),
+        ("night-render", new, "--product", "itof", "--resolution", size, "--error", 0.04),
         ("night-eval", name, new, "--out", tmp_path / "report"),
     ):
         done = night(*command)
