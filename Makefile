@@ -36,7 +36,7 @@ test-long: setup
 	$(PYTEST) -m "long and not thorough" --ignore tests/fuzz
 	$(FUZZ) -m long
 
-# The same for more inputs, which CI has no time for.
+# The same for more inputs and in more steps, which CI has no time for.
 test-thorough: setup
 	$(PYTEST) -m thorough
 

@@ -136,7 +136,7 @@ def test_the_camera_costs_less_than_half_of_the_error_of_perfect_phasors(example
     assert camera < 1.5 * perfect
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_solids_that_explain_what_the_camera_has_measured_are_where_the_objects_are(make_dataset, tmp_path):
     """With square waves, drift by 5 mrad leaves more than 1 % of the light unexplained: not here."""
     known = CAMERA.replace('"square"', '"sinusoidal"').replace("rise_time_s = 2e-9", "rise_time_s = 0.0")
@@ -155,7 +155,7 @@ def test_solids_that_explain_what_the_camera_has_measured_are_where_the_objects_
         assert scene["refined"]["depth_mae_m"] < scene["network"]["depth_mae_m"] / 2
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_fine_tuning_on_pairs_learns_them_and_costs_others_little(make_dataset, tmp_path):
     """Of a network that has never seen a camera, with little light, in a corner that is not its own.
 

@@ -228,7 +228,7 @@ def test_a_camera_that_sees_no_wall_finds_none(rendered):
     assert judged(rendered[1][0], wall)[0] == [("no-wall", True)]
 
 
-@pytest.mark.parametrize("count", [20, pytest.param(2000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [20, pytest.param(2000, marks=pytest.mark.thorough)])
 def test_any_finite_numbers_are_judged(count):
     # Warnings are errors here: no overflow, no division by zero.
     shapes = ((8, 6, (20e6, 50e6, 60e6)), (1, 1, (20e6,)), (9, 9, (20e6,)), (16, 1, (1.0, 2e9)))

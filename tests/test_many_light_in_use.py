@@ -121,7 +121,7 @@ def test_the_scenes_after_the_first_compile_no_kernel(make_dataset):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.thorough)])
 def test_many_renders_in_one_process_do_not_grow_memory(variant, tmp_path, count):
     def resident_bytes():
         with open("/proc/self/statm") as file:  # noqa: PTH123

@@ -199,7 +199,7 @@ def read_foreign(run, content):
     return message_of(load_checkpoint, run, read_config(run), MOST)
 
 
-@pytest.mark.parametrize("count", [20, pytest.param(3000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [20, pytest.param(3000, marks=pytest.mark.thorough)])
 def test_foreign_bytes_under_a_right_checksum_are_refused(full_run, tmp_path, count):
     run = shutil.copytree(full_run, tmp_path / "run")
     archive = (run / "checkpoint.pt").read_bytes()

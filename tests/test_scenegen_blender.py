@@ -216,7 +216,7 @@ print(made_bytes)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("warm", "last"), [(50, 300), pytest.param(100, 3000, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("warm", "last"), [(50, 300), pytest.param(100, 3000, marks=pytest.mark.thorough)])
 def test_memory_stays_constant_however_many_scenes_are_made(warm, last):
     command = [sys.executable, "-c", MEMORY, str(warm), str(last)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
