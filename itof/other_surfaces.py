@@ -13,22 +13,32 @@ from typing import Any, Final
 
 from array_api_compat import array_namespace
 
-# Phases over the wall's direct return, radians. The fit of the wall gives no weight to pixels with the first
-# (`itof.wall.self_calibration`); their neighbours may be at the edge. The second is that of an edge for
-# certain, and more than the hidden light of the preset `any-corner` has (docs/experiments.md, Many corners).
-_ELSEWHERE_RAD: Final = 0.25
+# Phases over the wall's direct return, radians. A pixel with the first shows another surface, and the fit of
+# the wall gives it no weight (`itof.wall.self_calibration`); its neighbours may be at the edge. The second is
+# above the hidden light of the preset `any-corner` (docs/experiments.md, Many corners).
+ELSEWHERE_RAD: Final = 0.25
 _EDGE_RAD: Final = 0.05
 
 
 def only_wall(turned: Any) -> Any:
-    """Phasors over the direct return of the wall, (..., H, W, F), with 0 where they do not show it alone.
+    """The phasors of pixels that show the wall alone, and 0 in the others.
 
-    These are pixels without light at some frequency, or with a phase of more than 0.25 rad, and the eight
-    neighbours of both; and pixels with a phase of more than 0.05 rad.
+    The others are pixels without light at some frequency, or with a phase of more than 0.25 rad, and the
+    eight neighbours of both; and pixels with a phase of more than 0.05 rad.
+
+    Parameters
+    ----------
+    turned : (..., H, W, F) complex, phasors over the direct return of the wall.
+
+    Returns
+    -------
+    (..., H, W, F) complex.
+
+    Source: ours.
     """
     xp = array_namespace(turned)
     real, imaginary = xp.real(turned), xp.abs(xp.imag(turned))
-    elsewhere = xp.any((turned == 0) | (imaginary > _ELSEWHERE_RAD * real), axis=-1)  # (..., H, W)
+    elsewhere = xp.any((turned == 0) | (imaginary > ELSEWHERE_RAD * real), axis=-1)  # (..., H, W)
     edge = xp.any(imaginary > _EDGE_RAD * real, axis=-1)
     left_out = _with_neighbours(xp, _with_neighbours(xp, elsewhere, -1), -2) | edge
     return xp.where(left_out[..., None], xp.zeros_like(turned), turned)

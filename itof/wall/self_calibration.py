@@ -32,12 +32,13 @@ from typing import Any, Final
 
 from array_api_compat import array_namespace, device
 
+from itof.other_surfaces import ELSEWHERE_RAD
 from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane, strength_elsewhere
 from itof.weighted_reference import log_slope, quotient, weighted_reference
 
 # Widths of the biweight in radians, one per step. With the first, a wall 0.4 m off at 60 MHz counts. With the
 # last, a pixel with 45 mrad of hidden light has the weight 0.94; 99.9 % of those in the paper's have less.
-_WIDTHS_RAD: Final = (2.0, 0.7, 0.25, 0.25, 0.25)
+_WIDTHS_RAD: Final = (2.0, 0.7, *(ELSEWHERE_RAD,) * 3)
 _RIDGE: Final = 1e-12  # of the normal matrix with a unit diagonal: an unknown that no pixel shows stays 0
 _DARKEST: Final = 1e-300  # of a wall without any return, which then has no weight
 _STEEPEST: Final = 0.5  # radians per pixel; a larger step of the phase is the edge of the wall

@@ -55,8 +55,10 @@ def fit_input_spec(
     chosen = tuple(frequencies_hz) if frequencies_hz else available
     residuals = 2 * len(chosen) - 1 if "residual" in channels else 0
     no_scale = (1.0, 1.0) if "wall" in channels else None
-    unscaled = InputSpec(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference, no_scale)
-    unscaled = replace(unscaled, wall_alone=unscaled.shows_wall)
+    unscaled = InputSpec(
+        *(channels, chosen, 1.0, (1.0,) * residuals, "measured", reference, no_scale),
+        wall_alone="wall" in channels,
+    )
     places = unscaled.places(available)
     direct = shards.reference[..., places]
     if unscaled.self_calibrates and view is None:
