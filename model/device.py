@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import torch
 
 from model.settings import DeviceName, Precision
-from scenegen import NightError
+from storage import NightError
 
 
 class DeviceError(NightError):

@@ -17,7 +17,8 @@ from render.products.export_format import FORMAT, FORMAT_VERSION
 from render.products.export_rows import Rows, new_rows
 from render.products.export_scenes import RefusedSceneError, SceneSource
 from render.products.zarr_copy import copy_to_zarr, digest_of_folder, refuse_without_zarr
-from scenegen import Dataset, PathLike, sha256_of
+from scenegen import Dataset
+from storage import PathLike, sha256_of
 
 _ZARR = ".zarr"
 _ENDINGS = (".h5", ".hdf5", _ZARR)
