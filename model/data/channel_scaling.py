@@ -153,10 +153,10 @@ def _wall_statistics(
         yield float(inverse.mean()), float((inverse**2).mean()), float(shift_m)
 
 
-def _images(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[list[int], NDArray[np.complex128]]]:
+def _images(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[list[int], NDArray[np.complex64]]]:
     """Some rows at a time, with the (n, H, W, F) phasors of their scenes."""
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
         block = shards.read(piece)
         for start in range(0, len(piece), IMAGES_AT_ONCE):
             some = piece[start : start + IMAGES_AT_ONCE]
-            yield some, block.take(some).complex_phasors()
+            yield some, block.take(some).phasors

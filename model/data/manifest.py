@@ -18,7 +18,7 @@ from storage.contract import STRICT
 from storage.plain_file import read_plain
 from storage.quantities import FieldOfView, WholeCount
 
-SHARD_SCHEMA: Final = 2
+SHARD_SCHEMA: Final = 3
 MANIFEST_FILE = "manifest.json"
 _MOST_BYTES: Final = 2**30  # a million scenes take 300 MB
 
@@ -48,7 +48,7 @@ class ShardManifest:
     scenes_per_piece: WholeCount
     pieces: tuple[PieceRecord, ...]
     reference_sha256: str
-    schema_version: Literal[2] = SHARD_SCHEMA
+    schema_version: Literal[3] = SHARD_SCHEMA
     fields_of_view_deg: Annotated[tuple[FieldOfView, ...], Field(exclude_if=lambda value: not value)] = ()
 
     def __post_init__(self) -> None:

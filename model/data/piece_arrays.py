@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from pydantic import TypeAdapter
 
-from itof import split_components
 from model.data.array_files import ArrayFile, header_of, is_array_file, read_array
 from model.data.pieces import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
@@ -45,9 +44,9 @@ def write_piece(
                 stream = stack.enter_context((partial / f"{name}.npy").open("wb"))
                 files[name] = ArrayFile(stream, dtype, shape)
             for rendered in _rendered(dataset, contents, ground_truth):
-                files["phasors"].append(np.moveaxis(split_components(rendered.phasor), -1, 0))
                 truth = rendered.truth
-                files["target"].append(np.stack([truth.phasor.real, truth.phasor.imag]))
+                files["phasors"].append(rendered.phasor)
+                files["target"].append(truth.phasor)
                 files["radial_depth_m"].append(truth.radial_depth_m)
                 files["mask"].append(truth.mask)
                 on_scene()
@@ -119,9 +118,9 @@ def _read_single_rows(
     start = len(header_of(dtype, shape))
     with file.open("rb") as stream:
         for place, row in rows:
-            target = memoryview(array[place]).cast("B")
-            stream.seek(start + row * len(target))
-            if stream.readinto(target) != len(target):
+            target = array[place]
+            stream.seek(start + row * target.nbytes)
+            if stream.readinto(target) != target.nbytes:
                 raise EOFError(file)
 
 

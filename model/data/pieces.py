@@ -1,14 +1,14 @@
 """A piece of the shards: a folder with the arrays of consecutive scenes, small enough to read as a whole.
 
 ======================  ====================================================================================
-``phasors.npy``         (n, 2F, H, W) float32, F real parts, then F imaginary parts
-``target.npy``          (n, 2, H, W) float32, Re and Im of the mirrored scene
+``phasors.npy``         (n, H, W, F) complex64
+``target.npy``          (n, H, W) complex64, phasor of the mirrored scene at the first frequency
 ``radial_depth_m.npy``  (n, H, W) float32, metres, 0 on background
 ``mask.npy``            (n, H, W) uint8, 0 or 1
 ``piece.json``          SHA-256 of these arrays and of the renders from which they were made
 ======================  ====================================================================================
 
-Phasors are float32, because half floats cannot represent the hidden 0.2 % of the signal (docs/design.md,
+Phasors are complex64, because half floats cannot represent the hidden 0.2 % of the signal (docs/design.md,
 Number types).
 """
 

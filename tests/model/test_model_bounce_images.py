@@ -169,7 +169,7 @@ def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
     train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
     predictor, shards, corner = load(tmp_path / "run"), open_shards(dataset), wall_view(dataset)
     inputs, rows = predictor.config.inputs, shards.rows("train")
-    phasor = shards.read(rows).complex_phasors()
+    phasor = shards.read(rows).phasors
     wall = corner.expected_wall(shards.reference, HZ)
     channels = inputs.apply(phasor, inputs.reference_of_image(phasor, wall), is_weighted=True)
     images = predictor.network.images
