@@ -32,7 +32,6 @@ WINGS = {
     "itof.pictures": {"itof", "itof.wall"},
     "itof.capture": {"itof", "itof.exr", "itof.files", "itof.wall", "itof.pictures"},
     "render": set(),
-    "render.byte_size": set(),
     "render.options": set(),
     "render.backend": set(),
     "render.settings": {"render.options", "render.backend"},
@@ -54,10 +53,10 @@ WINGS = {
     },
     "render.farm.claims": set(),  # the locks of scenes, which products take too
     "render.farm": {
-        *("render.rendering", "render.settings", "render.backend", "render.options", "render.byte_size"),
+        *("render.rendering", "render.settings", "render.backend", "render.options"),
         *("render.edited_scenes", "render.farm.claims"),
     },
-    "render.products": {"render.farm.claims", "render.settings", "render.options", "render.byte_size"},
+    "render.products": {"render.farm.claims", "render.settings", "render.options"},
     "render.pairs": set(),
     "render.mirror_panels": {"render.transport", "render.products", "render.settings", "render.backend"},
     "model": set(),
