@@ -66,7 +66,7 @@ WINGS = {
     "model.run_folder": {"model.network", "model.settings"},
     "model.data": {"model.network", "model.settings"},
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
-    "model.refinement.light": {"model.data", "model.network"},
+    "model.refinement.light": {"model.data", "model.network", "model.device"},
     "model.training": {
         *("model.refinement.light", "model.data", "model.network", "model.run_folder", "model.device"),
         "model.settings",
@@ -86,7 +86,7 @@ WINGS = {
     },
     "model.refinement": {
         *("model.refinement.light", "model.judging", "model.prediction", "model.data", "model.network"),
-        *("model.run_folder", "model.settings"),
+        *("model.run_folder", "model.device", "model.settings"),
     },
     "commandline": set(),
     "cli": set(),
