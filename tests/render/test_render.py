@@ -25,7 +25,8 @@ from render.settings import RenderError, RenderSettings
 from render.transport.method import View
 from render.transport.path_tracer import PathTracer
 from render.transport.scene_loading import load_scene
-from scenegen import Dataset, NightError, camera_axes, wall_normal
+from scenegen import Dataset, camera_axes, wall_normal
+from storage import NightError
 
 WIDTH, HEIGHT = 32, 24
 CAMERA = {"width": WIDTH, "height": HEIGHT}
@@ -342,9 +343,8 @@ def test_a_pixel_that_is_not_finite_stops_before_anything_is_written(rendered, t
     shutil.copytree(rendered.root, tmp_path / "copy")
     copy = Dataset(tmp_path / "copy", rendered.index)
     shutil.rmtree(copy.render_folder("000000"))
-    # A projector image with NaN in it, as a broken calibration file would have.
     image = copy.scene_folder("000000") / "emitter.pfm"
-    image.write_bytes(image.read_bytes()[:-4] + np.float32(np.nan).tobytes())
+    image.write_bytes(image.read_bytes()[:-4] + np.float32(np.nan).tobytes())  # a broken calibration
     with pytest.raises(RenderError, match="NaN"):
         Renderer(copy, path_settings(4, accept_edited=True)).render("000000")
     assert list(copy.render_folder("000000").iterdir()) == []
