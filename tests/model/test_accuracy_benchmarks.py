@@ -36,7 +36,7 @@ def self_run(closed_form_scenes, tmp_path_factory):
 def rows(name, *words):
     """Cells of the Markdown table that a benchmark prints, without its head."""
     command = [sys.executable, BENCHMARKS / f"{name}.py", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stdout.splitlines() if re.match(r"\| *\d", line)]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]

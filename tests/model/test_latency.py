@@ -12,7 +12,7 @@ BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "latency.py"
 
 def table(*words):
     done = subprocess.run(
-        [sys.executable, BENCHMARK, *map(str, words)], capture_output=True, text=True, timeout=240
+        [sys.executable, BENCHMARK, *map(str, words)], capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stderr
     rows = [line.strip("|").split("|") for line in done.stdout.splitlines() if line.startswith("| ")]

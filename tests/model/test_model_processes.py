@@ -16,7 +16,7 @@ from model.training.processes import Processes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
-ENDLESS = 400  # epochs, of which a test waits for the first
+ENDLESS = 10_000  # epochs, of which a test waits for the first
 
 
 @pytest.fixture(scope="module")

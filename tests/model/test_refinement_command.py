@@ -224,7 +224,7 @@ def test_workers_end_when_their_command_is_killed(dataset, tmp_path):
     workers = workers_of(command)
     command.kill()
     command.wait()
-    assert not psutil.wait_procs(workers, timeout=60)[1]
+    assert not psutil.wait_procs(workers, timeout=300)[1]
 
 
 def test_a_mesh_of_any_name_is_drawn(refined, dataset, tmp_path):

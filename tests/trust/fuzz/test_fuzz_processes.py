@@ -85,6 +85,6 @@ def kill_one(process, rng, *, is_worker):
         workers[int(rng.integers(len(workers)))].kill()
         return "worker"
     process.kill()
-    psutil.wait_procs(workers, timeout=60)
+    psutil.wait_procs(workers, timeout=300)
     assert not any(worker.is_running() for worker in workers)
     return "command"
