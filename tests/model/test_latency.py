@@ -19,11 +19,8 @@ def table(*words):
     return [[cell.strip() for cell in row] for row in rows[1:]]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "preset",
-    ["default", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("paper", "ablation-20mhz"))],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("preset", ["default", "paper", "ablation-20mhz"])
 def test_an_untrained_network_of_any_preset_is_measured_at_every_size(preset):
     rows = table(
         "--preset", preset, "--size", "32x24", "--size", "80x60", "--seconds", "0.1", "--device", "cpu"

@@ -206,7 +206,7 @@ def test_results_do_not_depend_on_the_number_of_workers(refined, dataset, tmp_pa
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_results_do_not_depend_on_the_number_of_threads(refined, dataset, tmp_path, threads):
     with threadpool_limits(threads):
         done = night_here(

@@ -60,7 +60,7 @@ def test_a_command_with_other_settings_does_not_disturb_a_run(three_missing, sev
     assert results(three_missing) == results(seven_renders)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_two_commands_with_local_workers_share_the_work(unrendered, seven_renders):
     processes = [start_render(unrendered), start_render(unrendered)]
     outputs = [process.communicate(timeout=600) for process in processes]

@@ -105,7 +105,7 @@ def killing_first_workers(count):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.thorough), 2])
 def test_a_worker_that_is_killed_while_it_starts_costs_one_retry(workers):
     with (
         killing_first_workers(1) as killed,
@@ -126,7 +126,7 @@ def test_workers_that_are_always_killed_while_they_start_end_the_run_in_one_sent
     assert not [child for child in psutil.Process().children() if is_worker(child)]
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_processes_killed_at_any_moment_of_the_start_change_no_result(unrendered, seven_renders):
     """At four moments between the start of its worker and the end of a command, the worker is killed."""
 

@@ -16,7 +16,7 @@ from jobs import GEN, JUDGE, RENDER, TRAIN, Stage
 from night_commands import night, words
 from render_runs import SETTINGS, results, start_render, workers_of
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.thorough
 MODULES = ("cli", "commandline", "scenegen", "itof", "render", "model")
 COMMANDS = ("night-gen", "night-render", "night-train", "night-eval")
 RENDER_HERE = replace(RENDER, command="night-render data --retry-failed --workers 1 --device cpu")
