@@ -214,7 +214,7 @@ def test_a_crash_of_the_process_is_one_sentence_that_names_the_file(tmp_path):
 
 def kill_reader(number):
     """Send a signal to the process that reads a measurement, as soon as there is one."""
-    this, deadline = psutil.Process(), time.monotonic() + 60
+    this, deadline = psutil.Process(), time.monotonic() + 600
     while time.monotonic() < deadline:
         for child in this.children():
             with contextlib.suppress(psutil.Error):  # it has just ended
