@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from itof.arrays import Array, Floats, Phasors
 from itof.direct import direct_phasors
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
@@ -37,15 +37,15 @@ class ExpectedWall:
     """
 
     frequencies_hz: tuple[float, ...]
-    direct: Any
-    rays: Any
-    plane_per_m: Any
-    strength: Any = None
+    direct: Array
+    rays: Array
+    plane_per_m: Array
+    strength: Array | None = None
 
     @classmethod
     def of_camera(
         cls,
-        direct: NDArray[np.complexfloating[Any, Any]],
+        direct: Phasors,
         frequencies_hz: Sequence[float],
         horizontal_fov_deg: float,
         camera_axes: ArrayLike,
@@ -115,7 +115,7 @@ class ExpectedWall:
         )
         return cls(first.frequencies_hz, direct, rays, first.plane_per_m, strength)
 
-    def converted(self, convert: Callable[[Any], Any]) -> ExpectedWall:
+    def converted(self, convert: Callable[[Array], Array]) -> ExpectedWall:
         """The same with the arrays that `convert` makes of its arrays, for another library or device."""
         arrays = {name: convert(getattr(self, name)) for name in ("direct", "rays", "plane_per_m")}
         strength = None if self.strength is None else convert(self.strength)
@@ -128,7 +128,7 @@ class ExpectedWall:
         strength = None if self.strength is None else self.strength[some]
         return replace(self, direct=self.direct[some], rays=self.rays[some], strength=strength)
 
-    def captured(self, direct: Any) -> ExpectedWall:
+    def captured(self, direct: Array) -> ExpectedWall:
         """The wall with the return of a capture of the empty corner (H, W, F), in the same place.
 
         Its pixels keep their weights, which do not depend on the brightness of the capture.
@@ -137,7 +137,7 @@ class ExpectedWall:
         return replace(self, direct=direct, strength=self.fit_strength)
 
     @property
-    def fit_strength(self) -> Any:
+    def fit_strength(self) -> Array:
         """(H, W) square root of the weight of a pixel in fits of a wall in this plane."""
         xp = array_namespace(self.direct)
         return xp.abs(self.direct[..., 0]) if self.strength is None else self.strength
@@ -148,17 +148,17 @@ class ExpectedWall:
         return replace(self, frequencies_hz=frequencies_hz, direct=self.direct[..., list(places)])
 
     @cached_property
-    def radial_depth_m(self) -> Any:
+    def radial_depth_m(self) -> Array:
         """(H, W) L_0, metres along the ray; infinite where a ray misses the wall."""
         return radial_depth_of_plane(self.rays, self.plane_per_m)
 
     @cached_property
-    def slope(self) -> NDArray[np.float64]:
+    def slope(self) -> Floats:
         """(F,) k_f, phase per metre of depth, rad/m."""
         return 2 * phase_per_metre(self.frequencies_hz)  # out and back
 
 
-def strength_elsewhere(expected_depth_m: Any, depth_m: Any) -> Any:
+def strength_elsewhere(expected_depth_m: Array, depth_m: Array) -> Array:
     """Brightness of a diffuse wall along a ray over that of the expected wall: (L_0 / L)³, as cos / L² goes.
 
     Arrays of numpy or of another library of the array API, metres, which broadcast; 0 or infinite where a ray
@@ -171,7 +171,7 @@ def strength_elsewhere(expected_depth_m: Any, depth_m: Any) -> Any:
     return xp.clip(share, min=0.0, max=_NEAREST) ** 3
 
 
-def radial_depth_of_plane(rays: Any, plane_per_m: Any) -> Any:
+def radial_depth_of_plane(rays: Array, plane_per_m: Array) -> Array:
     """Distance of planes (..., 3) along rays (n, 3) or (H, W, 3), metres; infinite where a ray misses one.
 
     Arrays of numpy or of another library of the array API. For several planes the result is (..., n), and the
@@ -186,3 +186,15 @@ def radial_depth_of_plane(rays: Any, plane_per_m: Any) -> Any:
         inverse = xp.sum(rays * plane_per_m[..., None, :], axis=-1)
     ahead = inverse > 1 / _FARTHEST_M
     return xp.where(ahead, 1 / xp.where(ahead, inverse, 1.0), xp.inf)
+
+
+def distance_m(plane_per_m: Floats) -> float:
+    """Distance of a plane (3,) from the camera, metres along its normal."""
+    return float(1 / np.linalg.norm(plane_per_m))
+
+
+def angle_deg(plane_per_m: Floats, other_per_m: Floats) -> float:
+    """Angle between two planes (3,), degrees."""
+    # by its tangent: the cosine of a small angle has no digits left
+    sine = np.linalg.norm(np.cross(plane_per_m, other_per_m))
+    return float(np.degrees(np.arctan2(sine, plane_per_m @ other_per_m)))
