@@ -8,9 +8,10 @@ SEED ?= 2026
 JUDGE := judge-$(SEED)
 # Tests run in two processes; each needs up to 4 GB. `make test TEST_PROCESSES=0` runs them in one.
 TEST_PROCESSES ?= 2
-PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist loadfile
+# Each process runs a stretch of the tests in their order, so that few fixtures are made twice.
+PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist worksteal
 # One process, which runs two commands at a time and has one seed and one table of results.
-FUZZ := $(BIN)/pytest tests/trust/fuzz
+FUZZ := NIGHT_FUZZ_SEED=$${NIGHT_FUZZ_SEED:-$$(date +%s)} $(BIN)/pytest tests/trust/fuzz
 
 .PHONY: setup demo judge test test-long test-thorough fuzz lint clean
 
@@ -31,14 +32,14 @@ lint: setup
 test: lint
 	$(PYTEST) -m "not long and not thorough"
 
-# Kill campaigns, thousands of scenes, convergence studies.
+# What takes seconds each, and what a change can break all the same.
 test-long: setup
-	$(PYTEST) -m "long and not thorough" --ignore tests/trust/fuzz
-	$(FUZZ) -m long
+	$(PYTEST) -m "long and not thorough"
 
-# The same for more inputs and in more steps, which CI has no time for.
+# Damage by the thousand, kills by the hundred, convergence studies: CI has no time for them.
 test-thorough: setup
-	$(PYTEST) -m thorough
+	$(PYTEST) -m thorough --ignore tests/trust/fuzz
+	NIGHT_FUZZ_INPUTS=200 $(FUZZ)
 
 # The campaign of docs/security.md: about 9,000 damaged files and 280 kills; its table is in fuzz.md.
 fuzz: setup

@@ -14,7 +14,7 @@ import numpy as np
 from itof import read_image
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.plausibility import check_measurement
-from itof.wall.wall_fit import WallFit
+from itof.wall.wall_fit import RobustFit
 from model.data.corner import wall_view
 from scenegen import Dataset, open_dataset
 
@@ -53,7 +53,7 @@ def expected_wall(dataset: Dataset, height: int, width: int) -> ExpectedWall:
     return ExpectedWall.of_camera(direct, frequencies_hz, view.horizontal_fov_deg, *place)
 
 
-def statistics(fit: WallFit) -> list[float]:
+def statistics(fit: RobustFit) -> list[float]:
     """The numbers of one scene, in the order of `COLUMNS`."""
     return [
         1e3 * fit.misfit_rad.max(),

@@ -10,6 +10,8 @@ import os
 from functools import cache
 from pathlib import Path, PurePosixPath
 
+from storage.byte_size import binary_size
+
 LARGEST_PART = 0.5  # of the machine's memory that the arrays of one file may take
 _GROUPS = Path("/sys/fs/cgroup")
 
@@ -66,12 +68,3 @@ def memory_shortage(count: int, *, copies: int = 1) -> str | None:
         f"claims {binary_size(count)} of memory, and this machine has {binary_size(total)} "
         f"(at most {LARGEST_PART / copies:.0%} of it may be claimed)"
     )
-
-
-def binary_size(count: float) -> str:
-    """A number of bytes with its unit, like ``21.8 TiB``."""
-    for unit in ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1024
-    return "more than 1000 PiB"

@@ -18,6 +18,7 @@ _WRITE_ERRORS = frozenset({ENOSPC, EDQUOT, EFBIG, EIO, EROFS})  # without a name
 _OCCUPIED = frozenset({ENOTEMPTY, EEXIST, ENOTDIR})  # what renaming to a name in use raises
 _TOGETHER = "files"  # name of temporary folders whose files belong together
 _ATTEMPTS = 100  # at a name that other processes keep taking
+_MOST_UNWRITTEN = 2**16  # bytes that a library writes only when it closes a file, and more
 
 
 @contextmanager
@@ -215,3 +216,15 @@ def _sync(path: Path) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         os.close(descriptor)
+
+
+def errno_of_writing(path: Path) -> int:
+    """Why a file could not be written: the error of writing more to it, or EIO if there is none."""
+    try:
+        with path.open("ab") as stream:
+            stream.write(bytes(_MOST_UNWRITTEN))
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError as error:
+        return error.errno or EIO
+    return EIO

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from itof.arrays import Floats, Phasors
 from itof.capture.image_check import wall_distance_m
 from itof.pictures.figures import finish_panels, plain
 from itof.pictures.wall_figure import draw_residual
 from itof.wall.finding import length
-from itof.wall.unknown_wall import SeenWall
+from itof.wall.wall_fit import RobustFit
 
 _LONGEST = 110  # characters of a line of the title
 _MOST_SHOWN = 6  # frequencies
@@ -22,9 +20,9 @@ _ASPECT = (0.25, 4.0)  # height over width of a panel; longer images are drawn s
 
 def check_figure(
     title: str,
-    phasor: NDArray[Any],
-    saturated_part: NDArray[np.float64] | None,
-    seen: SeenWall | None,
+    phasor: Phasors,
+    saturated_part: Floats | None,
+    fit: RobustFit | None,
     said: str,
 ) -> Figure:
     """Phases over the fitted wall (without a wall: phases) at six frequencies, amplitude, pixels left out.
@@ -42,8 +40,8 @@ def check_figure(
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, count + 2)
     lit = (phasor != 0).all(axis=-1)
-    if seen is not None and not seen.defects:
-        draw_residual(figure, panels[:count], seen.fit, seen.wall.frequencies_hz[:count])
+    if fit is not None:
+        draw_residual(figure, panels[:count], fit)
     else:
         for place in range(count):
             shown = np.where(lit, np.angle(phasor[..., place]), np.nan)
@@ -63,7 +61,7 @@ def check_figure(
     finish_panels(panels)
     panels[count].set_title("amplitude", fontsize=11)
     panels[count + 1].set_title("part saturated or empty", fontsize=11)
-    where = "" if seen is None or seen.defects else f", wall {length(wall_distance_m(seen))} away"
+    where = "" if fit is None else f", wall {length(wall_distance_m(fit))} away"
     part_of = "" if count == whole else f", {count} of {whole} frequencies"
     figure.suptitle(f"{plain(title)}{where}{part_of}\n{plain(_shortened(said))}", fontsize=11)
     return figure

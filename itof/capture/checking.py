@@ -21,10 +21,10 @@ from itof.capture.record import read_import_record
 from itof.capture.sidecar import FASTEST_HZ, MOST_FREQUENCIES, SLOWEST_HZ, CaptureError, Sidecar
 from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_files import read_measurement
-from itof.wall.check_result import MeasurementCheck, WallFound, joined
+from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding, length
 from itof.wall.plausibility import check_measurement
-from itof.wall.unknown_wall import SeenWall
+from itof.wall.wall_fit import RobustFit
 from storage import PathLike
 from storage.quantities import fov_problem
 
@@ -149,8 +149,8 @@ def check_capture(
     found += [(each, f"{place:06d}") for place, check in enumerate(checks) for each in check.findings]
     missing = [None] * (len(images.phasors) - len(checks))
     shown = [_wall(check) for check in checks]
-    away = [None if seen is None else wall_distance_m(seen) for seen in shown]
-    walls = [None if seen is None else WallFound.of_fit(seen.fit) for seen in shown]
+    away = [None if fit is None else wall_distance_m(fit) for fit in shown]
+    walls = [None if fit is None else WallSummary.of_fit(fit) for fit in shown]
     result = CaptureCheck(
         MeasurementCheck(joined(found), (*walls, *missing), images.reference is not None, ()),
         (*away, *missing),
@@ -226,17 +226,17 @@ def _of_reference(images: _Images, checks: list[ImageCheck]) -> list[Finding]:
     check = check_image(reference, images.frequencies_hz, images.fov_deg, images.reference_facts)
     found = [Finding(each.code, f"{_REFERENCE}{each.sentence}", each.refused) for each in check.findings]
     bad = any(finding.refused for each in (check, checks[0]) for finding in each.findings)
-    if not bad and check.seen is not None:
+    if not bad and check.fit is not None:
         # Phase offsets drift from capture to capture. Self-calibrated networks do not mind; prediction
         # checks what its network minds.
-        compared = check_measurement(images.phasors[0], check.seen.wall, reference, self_calibrated=True)
+        compared = check_measurement(images.phasors[0], check.fit.wall, reference, self_calibrated=True)
         found += [each for each in compared.findings if each.code in ("wall-moved", "no-wall")]
     return found
 
 
-def _wall(check: ImageCheck) -> SeenWall | None:
+def _wall(check: ImageCheck) -> RobustFit | None:
     """The wall of an image that shows one."""
-    return None if any(finding.refused for finding in check.findings) else check.seen
+    return None if any(finding.refused for finding in check.findings) else check.fit
 
 
 def _draw(picture: Path, title: str, images: _Images, checks: list[ImageCheck], result: CaptureCheck) -> None:
@@ -244,5 +244,5 @@ def _draw(picture: Path, title: str, images: _Images, checks: list[ImageCheck], 
 
     refused = [place for place, check in enumerate(checks) if any(each.refused for each in check.findings)]
     place = refused[0] if refused else 0
-    seen, said = checks[place].seen, "; ".join(result.found.warnings) or "fine: nothing is wrong"
-    write_picture(picture, check_figure(title, images.phasors[place], images.saturated_part, seen, said))
+    fit, said = checks[place].fit, "; ".join(result.found.warnings) or "fine: nothing is wrong"
+    write_picture(picture, check_figure(title, images.phasors[place], images.saturated_part, fit, said))

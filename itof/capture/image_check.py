@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from itof import combined_range_m
+from itof.arrays import Floats, Phasors
 from itof.capture.facts import CaptureFacts, milliradians
 from itof.wall.brightness import DEAD_NOTED, SATURATED_NOTED, brightness_findings
 from itof.wall.finding import Finding, length, megahertz
 from itof.wall.plausibility import MISFIT_NOTED_RAD, SCATTER_REFUSED_RAD
-from itof.wall.unknown_wall import SeenWall, see_wall
-from itof.wall.wall_fit import WallFit, without_unit
+from itof.wall.unknown_wall import see_wall
+from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import WALL_SHARE
 
 # The walls of the paper are 1 to 3 m away. These limits are ours.
@@ -38,18 +38,18 @@ class ImageCheck:
     Attributes
     ----------
     findings : empty for an image without faults.
-    seen : the wall; None if the image holds almost no light.
+    fit : of the wall; None if the image holds almost no light, or does not show the wall as it stands.
     noise_rad : (F,) noise of a pixel's phase by the difference of neighbours, radians; fine structure of the
         light counts as noise. Empty without a wall.
     """
 
     findings: tuple[Finding, ...]
-    seen: SeenWall | None
+    fit: RobustFit | None
     noise_rad: tuple[float, ...]
 
 
 def check_image(
-    phasor: NDArray[Any],
+    phasor: Phasors,
     frequencies_hz: Sequence[float],
     horizontal_fov_deg: float,
     facts: CaptureFacts | None = None,
@@ -68,39 +68,40 @@ def check_image(
     if seen is None:
         words = "no wall found: no pixel holds light, or almost none"
         return ImageCheck((Finding("no-wall", words, True),), None, ())
-    if seen.defects:
-        return ImageCheck((Finding("convention", " and ".join(seen.defects), True),), seen, ())
+    fit, defects = seen
+    if defects:
+        return ImageCheck((Finding("convention", " and ".join(defects), True),), None, ())
     if _is_even(phasor):
         words = "no wall found: the phase is the same in all pixels"
-        return ImageCheck((Finding("no-wall", words, True),), seen, ())
-    if seen.fit.wall_share.min() < WALL_SHARE:
-        return ImageCheck((_no_wall(seen),), seen, ())
-    findings = list(brightness_findings(without_unit(phasor, seen.wall), seen.wall))
-    noise = _local_rms(seen.fit, seen.fit.residual_rad)
+        return ImageCheck((Finding("no-wall", words, True),), fit, ())
+    if fit.wall_share.min() < WALL_SHARE:
+        return ImageCheck((_no_wall(fit),), fit, ())
+    findings = list(brightness_findings(without_unit(phasor, fit.wall), fit.wall))
+    noise = _local_rms(fit, fit.residual_rad)
     lit = float((phasor != 0).all(axis=-1).mean())
     if lit < LIT:
         findings.append(Finding("dark", f"only {100 * lit:.2g} % of the pixels hold light", False))
-    shape = list(_shape(seen, noise))
-    findings += [*_place(seen), *shape, *_scatter(noise), *_capture(facts, seen, noise)]
+    shape = list(_shape(fit, noise))
+    findings += [*_place(fit), *shape, *_scatter(noise), *_capture(facts, fit, noise)]
     if facts is not None and facts.noise_rad is not None and not shape:  # edges of a shape look like noise
         findings += _shared_noise(facts.noise_rad, tuple(noise.tolist()))
     told = {finding.code: finding for finding in reversed(findings)}  # saturation is told in two ways
-    return ImageCheck(tuple(reversed(told.values())), seen, tuple(noise.tolist()))
+    return ImageCheck(tuple(reversed(told.values())), fit, tuple(noise.tolist()))
 
 
-def wall_distance_m(seen: SeenWall) -> float:
+def wall_distance_m(fit: RobustFit) -> float:
     """Median distance of the wall along the rays of the pixels that see it, metres."""
-    return float(np.median(seen.wall.radial_depth_m[seen.fit.weight > 0]))
+    return float(np.median(fit.wall.radial_depth_m[fit.weight > 0]))
 
 
-def _is_even(phasor: NDArray[Any]) -> bool:
+def _is_even(phasor: Phasors) -> bool:
     """Whether the phase is the same in all pixels, at every frequency."""
     turned = np.exp(1j * np.angle(phasor[(phasor != 0).all(axis=-1)]))
     return bool((1 - np.abs(turned.mean(axis=0)) < _EVEN).all())
 
 
-def _no_wall(seen: SeenWall) -> Finding:
-    frequencies_hz, share = seen.wall.frequencies_hz, seen.fit.wall_share
+def _no_wall(fit: RobustFit) -> Finding:
+    frequencies_hz, share = fit.wall.frequencies_hz, fit.wall_share
     wrong = [f for f, part in zip(frequencies_hz, share, strict=True) if part < WALL_SHARE]
     words = "no wall found: the phases are not those of a flat wall that fills the image"
     if len(wrong) < len(frequencies_hz):
@@ -109,12 +110,12 @@ def _no_wall(seen: SeenWall) -> Finding:
     return Finding("no-wall", words, True)
 
 
-def _place(seen: SeenWall) -> Iterator[Finding]:
+def _place(fit: RobustFit) -> Iterator[Finding]:
     """A wall out of range."""
-    away_m = wall_distance_m(seen)
+    away_m = wall_distance_m(fit)
     if NEAREST_M <= away_m <= FARTHEST_M:
         return
-    reach_m = combined_range_m(seen.wall.frequencies_hz)
+    reach_m = combined_range_m(fit.wall.frequencies_hz)
     words = (
         f"the wall is found {length(away_m)} away, out of the range of {NEAREST_M:g} to {FARTHEST_M:g} m: "
         "wrong units, phase offsets of the camera, or a wall beyond the unambiguous range of "
@@ -123,16 +124,16 @@ def _place(seen: SeenWall) -> Iterator[Finding]:
     yield Finding("wall-range", words, False)
 
 
-def _shape(seen: SeenWall, noise_rad: NDArray[np.float64]) -> Iterator[Finding]:
+def _shape(fit: RobustFit, noise_rad: Floats) -> Iterator[Finding]:
     """Smooth phases over the plane: of the wall's shape, which grow with the frequency, or of the camera."""
-    fit = seen.fit
     smooth = _smooth_rms(fit, fit.residual_rad, noise_rad)  # (F,)
     if smooth.max() < NOT_FLAT_RAD:
         return
-    bump_m = fit.residual_rad @ fit.slope / (fit.slope @ fit.slope)  # (H, W) least squares
-    left = fit.residual_rad - bump_m[..., None] * fit.slope
+    slope = fit.wall.slope
+    bump_m = fit.residual_rad @ slope / (slope @ slope)  # (H, W) least squares
+    left = fit.residual_rad - bump_m[..., None] * slope
     unexplained = _smooth_rms(fit, left, _local_rms(fit, left))
-    phases = f"{milliradians(tuple(smooth.tolist()))} at {megahertz(seen.wall.frequencies_hz)}"
+    phases = f"{milliradians(tuple(smooth.tolist()))} at {megahertz(fit.wall.frequencies_hz)}"
     if len(smooth) > 1 and unexplained.max() > _EXPLAINED * smooth.max():
         words = f"the phases leave those of a flat wall by {phases}, and no shape of the wall explains it: "
         words += "a camera whose waves are not sinusoidal (wiggling), or light scattered in the lens?"
@@ -144,13 +145,13 @@ def _shape(seen: SeenWall, noise_rad: NDArray[np.float64]) -> Iterator[Finding]:
     yield Finding("not-flat", words, False)
 
 
-def _scatter(noise_rad: NDArray[np.float64]) -> Iterator[Finding]:
+def _scatter(noise_rad: Floats) -> Iterator[Finding]:
     if noise_rad.max() > SCATTER_REFUSED_RAD:
         noise = milliradians(tuple(noise_rad.tolist()))
         yield Finding("scatter", f"the phases of neighbouring pixels scatter by {noise}: too noisy", True)
 
 
-def _capture(facts: CaptureFacts | None, seen: SeenWall, noise_rad: NDArray[np.float64]) -> Iterator[Finding]:
+def _capture(facts: CaptureFacts | None, fit: RobustFit, noise_rad: Floats) -> Iterator[Finding]:
     """What the frames say: noise, drift, saturated and dead pixels."""
     known = None if facts is None else facts.noise_rad
     told = tuple(noise_rad.tolist()) if known is None else known
@@ -167,7 +168,7 @@ def _capture(facts: CaptureFacts | None, seen: SeenWall, noise_rad: NDArray[np.f
         return
     if max(facts.drift_rad) > MISFIT_NOTED_RAD:
         words = (
-            f"the phases drift by {milliradians(facts.drift_rad)} at {megahertz(seen.wall.frequencies_hz)} "
+            f"the phases drift by {milliradians(facts.drift_rad)} at {megahertz(fit.wall.frequencies_hz)} "
         )
         words += f"within {facts.frames} frames: let the camera warm up, or capture for a shorter time"
         yield Finding("drift", words, False)
@@ -194,16 +195,14 @@ def _shared_noise(frames_rad: tuple[float, ...], neighbours_rad: tuple[float, ..
         yield Finding("dark-noise", words, False)
 
 
-def _local_rms(fit: WallFit, phases: NDArray[np.float64]) -> NDArray[np.float64]:
+def _local_rms(fit: RobustFit, phases: Floats) -> Floats:
     """(F,) noise by second differences of neighbours in a row, which smooth phases hardly change."""
     weight = np.minimum(np.minimum(fit.weight[:, 2:], fit.weight[:, :-2]), fit.weight[:, 1:-1])[..., None]
     bend = phases[:, 2:] - 2 * phases[:, 1:-1] + phases[:, :-2]  # with 6 times the variance of the noise
     return np.asarray(np.sqrt((weight * bend**2).sum(axis=(0, 1)) / (6 * max(weight.sum(), 1e-300))))
 
 
-def _smooth_rms(
-    fit: WallFit, phases: NDArray[np.float64], noise_rad: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _smooth_rms(fit: RobustFit, phases: Floats, noise_rad: Floats) -> Floats:
     """(F,) root mean square of phases without that of their noise."""
     mean = (fit.weight[..., None] * phases**2).sum(axis=(0, 1)) / fit.weight.sum()
     return np.asarray(np.sqrt(np.maximum(mean - noise_rad**2, 0.0)))

@@ -10,11 +10,10 @@ from __future__ import annotations
 import errno
 import os
 import re
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 import Imath
 import numpy as np
@@ -22,6 +21,8 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from itof.exr.header import ImageFileError, UnsupportedImageError, read_structure
+from processes import silenced
+from storage.whole_writing import errno_of_writing
 
 ATTRIBUTE_PREFIX = "night."
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
@@ -29,7 +30,6 @@ _ERRORS_OF_WRITING = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS, errno.ENOENT, errno.ENOTDIR),
     *(errno.EISDIR, errno.ENAMETOOLONG, errno.EMFILE),
 )
-_MOST_UNWRITTEN = 2**16  # bytes that OpenEXR writes only when it closes a file, and more
 
 
 @contextmanager
@@ -86,7 +86,7 @@ class ExrOutput:
             with self._path.open("rb") as stream:
                 read_structure(stream)
         except ImageFileError:
-            number = _errno_of_writing(self._path)
+            number = errno_of_writing(self._path)
             raise OSError(number, os.strerror(number), str(self._path)) from None
 
     @contextmanager
@@ -154,7 +154,7 @@ class ExrInput:
     def _errors(self) -> Iterator[None]:
         """Every error of reading as an `ImageFileError` of one sentence."""
         try:
-            with _silence:
+            with silenced(2):
                 yield
         except MemoryError:
             raise ImageFileError(f"{self._path} does not fit into the memory that is free") from None
@@ -167,18 +167,6 @@ class ExrInput:
             raise self.refusal(f"{self._path} is damaged or no EXR file ({reason})") from None
 
 
-def _errno_of_writing(path: Path) -> int:
-    """Why a file could not be written: the error of writing more to it, or EIO if there is none."""
-    try:
-        with path.open("ab") as stream:
-            stream.write(bytes(_MOST_UNWRITTEN))
-            stream.flush()
-            os.fsync(stream.fileno())
-    except OSError as error:
-        return error.errno or errno.EIO
-    return errno.EIO
-
-
 def _name_of(stream: BinaryIO, path: Path) -> str:
     """A name by which OpenEXR opens the very file that was checked.
 
@@ -187,43 +175,3 @@ def _name_of(stream: BinaryIO, path: Path) -> str:
     """
     name = f"/dev/fd/{stream.fileno()}"
     return name if Path(name).exists() else str(path)
-
-
-class _SilentStderr:
-    """Discards what OpenEXR prints on stderr while any thread is in the block.
-
-    The first thread that enters redirects the descriptor, and the last one that leaves gives it back. Where
-    stderr is closed, there is nothing to discard.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._inside, self._kept = 0, -1
-
-    def __enter__(self) -> None:
-        with self._lock:
-            self._inside += 1
-            if self._inside == 1:
-                self._kept = _redirected_stderr()
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0 and self._kept >= 0:
-                os.dup2(self._kept, 2)
-                os.close(self._kept)
-
-
-def _redirected_stderr() -> int:
-    """Redirect stderr to nowhere; a descriptor of where it went, or -1 if it is closed."""
-    try:
-        kept = os.dup(2)
-    except OSError:
-        return -1
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    os.close(nowhere)
-    return kept
-
-
-_silence: Final = _SilentStderr()

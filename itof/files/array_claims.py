@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from storage.machine_memory import binary_size, memory_shortage
+from storage.byte_size import binary_size
+from storage.machine_memory import memory_shortage
 
 ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
 _KINDS: Final = {

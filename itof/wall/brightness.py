@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Bools, Floats, Phasors
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.finding import Finding
 
@@ -19,7 +19,7 @@ _SAME = 1e-6  # relative; rounding of complex64
 _NOT_SAME = 1.02  # ratio of expected amplitudes that no rounding explains
 
 
-def brightness_findings(phasor: NDArray[Any], wall: ExpectedWall) -> Iterator[Finding]:
+def brightness_findings(phasor: Phasors, wall: ExpectedWall) -> Iterator[Finding]:
     """Findings about the amplitudes of one measurement (H, W, F)."""
     lit = (phasor != 0).all(-1)
     seen = lit & (wall.direct != 0).all(-1)
@@ -41,11 +41,11 @@ def brightness_findings(phasor: NDArray[Any], wall: ExpectedWall) -> Iterator[Fi
         yield Finding("saturated", words, False)
 
 
-def _spread(values: NDArray[np.float64]) -> float:
+def _spread(values: Floats) -> float:
     return float(values.std() / values.mean())
 
 
-def _amid_lit(lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _amid_lit(lit: Bools) -> Bools:
     """Dark pixels with lit ones on both sides in their row or column; beside a wall's edge there are none."""
     between = np.zeros_like(lit)
     for axis in (0, 1):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+import numpy as np
 
 from itof.wall.finding import Finding, length
-from itof.wall.wall_fit import WallFit
+from itof.wall.wall_fit import RobustFit
 
 
 @dataclass(frozen=True)
-class WallFound:
+class WallSummary:
     """The relay wall as an image shows it, compared with that of the run or of the measured reference.
 
     Attributes
@@ -40,20 +42,11 @@ class WallFound:
     coherence: tuple[float, ...]
 
     @classmethod
-    def of_fit(cls, fit: WallFit) -> WallFound:
+    def of_fit(cls, fit: RobustFit) -> WallSummary:
         """The numbers of a fit, without its images."""
-        return cls(
-            mean_shift_m=fit.mean_shift_m,
-            max_shift_m=fit.max_shift_m,
-            mean_shift_std_m=fit.mean_shift_std_m,
-            distance_shift_m=fit.distance_shift_m,
-            tilt_deg=fit.tilt_deg,
-            plane_per_m=tuple(fit.plane_per_m.tolist()),
-            offsets_rad=tuple(fit.offsets_rad.tolist()),
-            offsets_std_rad=tuple(fit.offsets_std_rad.tolist()),
-            residual_rms_rad=tuple(fit.residual_rms_rad.tolist()),
-            coherence=tuple(fit.coherence.tolist()),
-        )
+        values = {field.name: getattr(fit, field.name) for field in fields(cls)}
+        lists = {name: tuple(each.tolist()) for name, each in values.items() if isinstance(each, np.ndarray)}
+        return cls(**(values | lists))
 
 
 @dataclass(frozen=True)
@@ -96,7 +89,7 @@ class MeasurementCheck:
     """
 
     findings: tuple[FileFinding, ...]
-    walls: tuple[WallFound | None, ...]
+    walls: tuple[WallSummary | None, ...]
     measured_reference: bool
     ignored: tuple[str, ...]
 

@@ -12,19 +12,27 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane, strength_elsewhere
-from itof.wall.self_calibration import Calibration, calibrate
+from itof.arrays import Floats, Phasors
+from itof.wall.expected_wall import (
+    ExpectedWall,
+    angle_deg,
+    distance_m,
+    radial_depth_of_plane,
+    strength_elsewhere,
+)
+from itof.wall.robust_solution import covariance
+from itof.wall.self_calibration import calibrate, phases_over
+from itof.wall.wall_fit import WallFit
+from itof.wall.wall_phases import Residual, by_frequency
 
 _LARGEST_ERROR_M: Final = 0.01  # as much as a tape measure's
 _EDGE_RAD: Final = 0.5  # a pixel that is farther off does not see the wall
-Phasors = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True)
-class FoundWall:
-    """A relay wall as empty corners show it, beside the expected one.
+class CapturedPlane:
+    """The plane of the relay wall as empty corners show it, beside the expected one.
 
     Attributes
     ----------
@@ -35,8 +43,8 @@ class FoundWall:
         come on top.
     """
 
-    plane_per_m: NDArray[np.float64]
-    expected_per_m: NDArray[np.float64]
+    plane_per_m: Floats
+    expected_per_m: Floats
     error_m: float
 
     @property
@@ -59,9 +67,8 @@ class FoundWall:
                 f"noise and differences between captures make the wall of the empty corner uncertain by "
                 f"{100 * self.error_m:.1f} cm, so the wall is taken to be where it is expected"
             )
-        before, after = (np.linalg.norm(m) for m in (self.expected_per_m, self.plane_per_m))
-        cosine = self.expected_per_m @ self.plane_per_m / (before * after)
-        tilt_deg, away_cm = np.degrees(np.arccos(np.clip(cosine, -1, 1))), 100 * (1 / after - 1 / before)
+        tilt_deg = angle_deg(self.expected_per_m, self.plane_per_m)
+        away_cm = 100 * (distance_m(self.plane_per_m) - distance_m(self.expected_per_m))
         return (
             f"the empty corner shows the wall {abs(away_cm):.1f} cm {'farther' if away_cm > 0 else 'nearer'} "
             f"than expected and turned by {tilt_deg:.1f} degrees; noise makes its distance uncertain by "
@@ -69,7 +76,7 @@ class FoundWall:
         )
 
 
-def find_wall(corners: Sequence[Phasors], wall: ExpectedWall) -> FoundWall:
+def find_wall(corners: Sequence[Phasors], wall: ExpectedWall) -> CapturedPlane:
     """The wall that captures (H, W, F) of the empty corner show, the mean of their planes.
 
     Plane, phase offsets and four-cycle errors are fitted to each (`itof.wall.self_calibration`). There is no
@@ -90,10 +97,10 @@ def find_wall(corners: Sequence[Phasors], wall: ExpectedWall) -> FoundWall:
     errors = [_error_m(corner, fit, wall) for corner, fit in zip(corners, fits, strict=True)]
     # Not over the root of their number: errors of single pixels are those of the camera in every corner.
     error_m = float(np.sqrt(np.mean(np.square(errors)) + _scatter_m(planes, plane, wall) ** 2))
-    return FoundWall(plane, np.asarray(wall.plane_per_m), error_m)
+    return CapturedPlane(plane, np.asarray(wall.plane_per_m), error_m)
 
 
-def _scatter_m(planes: NDArray[np.float64], plane: NDArray[np.float64], wall: ExpectedWall) -> float:
+def _scatter_m(planes: Floats, plane: Floats, wall: ExpectedWall) -> float:
     """Root mean square of the distances between (N, 3) planes and their mean, along the rays."""
     inverse = wall.rays.reshape(-1, 3) @ np.concatenate([planes, plane[None]]).T
     inverse = inverse[(inverse > 0).all(axis=1)]
@@ -102,35 +109,24 @@ def _scatter_m(planes: NDArray[np.float64], plane: NDArray[np.float64], wall: Ex
     return float(np.sqrt(((1 / inverse[:, :-1] - 1 / inverse[:, -1:]) ** 2).mean()))
 
 
-def _error_m(corner: Phasors, fit: Calibration, wall: ExpectedWall) -> float:
+def _error_m(corner: Phasors, fit: WallFit, wall: ExpectedWall) -> float:
     """Standard deviation of the wall's distance by the phases that a fit leaves; infinite if none shows it.
 
     The weights are those of the expected wall, which are nearly those of the fit.
-
-    Source: covariance of a weighted least-squares fit by its own residuals (White 1980).
     """
-    left = np.angle(corner * np.conj(fit.direct))  # (H, W, F)
+    problem, direct = phases_over(corner, wall, wiggling=True), fit.moved(corner, wall)
+    left = np.angle(corner * np.conj(direct))  # (H, W, F)
     inverse = wall.rays @ fit.plane_per_m  # (H, W), over the distance
-    good = (corner != 0).all(-1) & (fit.direct != 0).all(-1) & (np.abs(left).max(-1) < _EDGE_RAD)
-    good &= inverse > 0
-    weight, rays, distance_m = np.abs(wall.direct[good][:, 0]) ** 2, wall.rays[good], 1 / inverse[good]
-    if len(weight) < 3 + 3 * left.shape[-1]:
+    good = (corner != 0).all(-1) & (direct != 0).all(-1) & (np.abs(left).max(-1) < _EDGE_RAD)
+    good = (good & (inverse > 0)).reshape(-1)
+    if np.count_nonzero(good) < 3 + 3 * left.shape[-1]:
         return float("inf")
-    normal, scatter = 0.0, 0.0
-    for place, slope in enumerate(wall.slope):
-        phase = np.angle(corner[good][:, place])
-        own = np.zeros((len(rays), left.shape[-1], 3))
-        own[:, place] = np.stack([np.ones_like(phase), np.cos(4 * phase), np.sin(4 * phase)], axis=-1)
-        columns = np.concatenate(
-            [-slope * distance_m[:, None] ** 2 * rays, own.reshape(len(rays), -1)], axis=1
-        )
-        normal = normal + columns.T @ (columns * weight[:, None])
-        squares = (weight * left[good][:, place]) ** 2
-        scatter = scatter + columns.T @ (columns * squares[:, None])
-    inverse_normal = np.linalg.pinv(normal)
-    covariance = (inverse_normal @ scatter @ inverse_normal)[:3, :3]
-    of_distance = -(distance_m[:, None] ** 2) * rays
-    return float(np.sqrt(np.einsum("pi,ij,pj->p", of_distance, covariance, of_distance).mean()))
+    depth_m = 1 / np.where(good, inverse.reshape(-1), 1.0)
+    left = by_frequency(problem.xp, left)  # (F, n)
+    weight = np.broadcast_to(good * np.abs(wall.direct[..., 0]).reshape(-1) ** 2, left.shape)
+    of_unknowns = covariance(problem, Residual(left, depth_m, good), weight, weight * left)[:3, :3]
+    of_distance = problem.pixels.tangent(depth_m)[:, good]
+    return float(np.sqrt(np.einsum("ip,ij,jp->p", of_distance, of_unknowns, of_distance).mean()))
 
 
 def captured_wall(corner: Phasors, wall: ExpectedWall) -> ExpectedWall:

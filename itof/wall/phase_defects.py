@@ -14,16 +14,16 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from itof.arrays import Floats, Phasors
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.finding import megahertz
-from itof.wall.plane_phases import MOST_PIXELS
+from itof.wall.wall_fit import MOST_PIXELS
 
-Phasors = NDArray[Any]
 Undo = Callable[[Phasors], Phasors]
 
 SUSPECT: Final = 5e-4  # below this mismatch nothing is tried: 32 mrad, 13 mm of wall at 60 MHz
@@ -134,7 +134,7 @@ def _trials(phasor: Phasors, wall: ExpectedWall, free_offsets: bool) -> Iterator
                     yield PhaseDefect(parts, float(1 - scores[range(count), order].mean()))
 
 
-def _orders(scores: NDArray[np.float64]) -> Iterator[tuple[int, ...]]:
+def _orders(scores: Floats) -> Iterator[tuple[int, ...]]:
     """The order of the frequencies as given and, if every expected one is found, the best one."""
     given, best = tuple(range(len(scores))), tuple(scores.argmax(axis=1).tolist())
     yield given

@@ -11,17 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Floats, Phasors
 from itof.unwrapping import combined_range_m
 from itof.wall.brightness import EVEN, brightness_findings
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.finding import Finding, length, megahertz
 from itof.wall.phase_defects import alternatives, find_defects, mismatch
-from itof.wall.wall_fit import WallFit, without_unit
+from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import found, locate_wall
 
 MISFIT_NOTED_RAD: Final = 4e-3  # 1.6 mm of wall at 60 MHz; bright hidden light looks like 2.7 mrad
@@ -51,13 +51,13 @@ class Plausibility:
     """
 
     findings: tuple[Finding, ...]
-    wall: WallFit | None
+    wall: RobustFit | None
 
 
 def check_measurement(
-    phasor: NDArray[Any],
+    phasor: Phasors,
     wall: ExpectedWall,
-    reference: NDArray[Any] | None = None,
+    reference: Phasors | None = None,
     *,
     self_calibrated: bool = False,
     known_shift_m: float = 0.0,
@@ -96,11 +96,11 @@ def check_measurement(
     if fit is None or not found(fit):
         return Plausibility((*findings, _no_wall(phasor, wall, reference is not None)), None)
     compared = reference is not None
-    place = _elsewhere(fit, compared, known_shift_m) if self_calibrated else _place(fit, wall, compared)
-    return Plausibility((*findings, *place, *_scatter(fit, wall)), fit)
+    place = _elsewhere(fit, compared, known_shift_m) if self_calibrated else _place(fit, compared)
+    return Plausibility((*findings, *place, *_scatter(fit)), fit)
 
 
-def check_reference(reference: NDArray[Any], wall: ExpectedWall) -> tuple[Finding, ...]:
+def check_reference(reference: Phasors, wall: ExpectedWall) -> tuple[Finding, ...]:
     """What is wrong with a measurement of the empty corner, except for the wall's place and phase offsets.
 
     Raises
@@ -116,7 +116,7 @@ def check_reference(reference: NDArray[Any], wall: ExpectedWall) -> tuple[Findin
     return tuple(Finding(each.code, f"the reference: {each.sentence}", each.refused) for each in findings)
 
 
-def describe_shift(fit: WallFit) -> str:
+def describe_shift(fit: RobustFit) -> str:
     """How far the wall is from its expected place: ``5.0 cm farther away and tilted by 0.2 degrees``."""
     shift_m = fit.distance_shift_m
     parts = []
@@ -128,7 +128,7 @@ def describe_shift(fit: WallFit) -> str:
 
 
 def _amplitudes_and_conventions(
-    phasor: NDArray[Any], wall: ExpectedWall, *, free_offsets: bool
+    phasor: Phasors, wall: ExpectedWall, *, free_offsets: bool
 ) -> tuple[Finding, ...]:
     findings = [*brightness_findings(phasor, wall)]
     if any(each.code == "no-wall" for each in findings):
@@ -140,17 +140,17 @@ def _amplitudes_and_conventions(
     return tuple(findings)
 
 
-def _phase_spread(phasor: NDArray[Any], wall: ExpectedWall) -> NDArray[np.float64]:
+def _phase_spread(phasor: Phasors, wall: ExpectedWall) -> Floats:
     """(F,) 1 - |mean of e^{j phase}| over the lit pixels, weighted by |d|²."""
     lit = (phasor != 0).all(-1)
     strength = np.abs(wall.direct[lit][:, 0]).astype(np.float64)
     weight = (strength / strength.max()) ** 2
     turned = np.exp(1j * np.angle(phasor[lit]))
-    spread: NDArray[np.float64] = 1 - np.abs(weight @ turned) / weight.sum()
+    spread: Floats = 1 - np.abs(weight @ turned) / weight.sum()
     return spread
 
 
-def _no_wall(phasor: NDArray[Any], wall: ExpectedWall, compared: bool) -> Finding:
+def _no_wall(phasor: Phasors, wall: ExpectedWall, compared: bool) -> Finding:
     """Why the phases at all frequencies together are not those of a wall."""
     if compared:
         return Finding("no-wall", "measurement and reference do not show the same wall", True)
@@ -175,12 +175,12 @@ def _no_wall(phasor: NDArray[Any], wall: ExpectedWall, compared: bool) -> Findin
     return Finding("no-wall", words, True)
 
 
-def _place(fit: WallFit, wall: ExpectedWall, compared: bool) -> Iterator[Finding]:
+def _place(fit: RobustFit, compared: bool) -> Iterator[Finding]:
     """A wall that is not where it should be, or phase offsets."""
     misfit_rad = float((fit.misfit_rad - _SIGMAS * fit.misfit_std_rad).max())
     if misfit_rad < MISFIT_NOTED_RAD:
         return
-    moved = float((fit.slope * fit.mean_shift_m).max()) >= float(np.abs(fit.offsets_rad).max())
+    moved = float((fit.wall.slope * fit.mean_shift_m).max()) >= float(np.abs(fit.offsets_rad).max())
     offsets = ", ".join(f"{1e3 * offset:+.1f}" for offset in fit.offsets_rad)
     if moved:
         code, what = (
@@ -188,12 +188,12 @@ def _place(fit: WallFit, wall: ExpectedWall, compared: bool) -> Iterator[Finding
             f"the wall is not where {'the reference' if compared else 'the run'} has it, ",
         )
         what += f"but {describe_shift(fit)}"
-        if len(wall.frequencies_hz) == 1:
+        if len(fit.wall.frequencies_hz) == 1:
             what += " (or the camera's phase is off)"
     else:
         code, what = (
             "phase-offsets",
-            f"the phases at {megahertz(wall.frequencies_hz)} are off by {offsets} mrad ",
+            f"the phases at {megahertz(fit.wall.frequencies_hz)} are off by {offsets} mrad ",
         )
         what += "since the reference" if compared else "everywhere"
     capture = (
@@ -203,7 +203,7 @@ def _place(fit: WallFit, wall: ExpectedWall, compared: bool) -> Iterator[Finding
     yield Finding(code, f"{what}: {mend}{capture}", misfit_rad >= MISFIT_REFUSED_RAD)
 
 
-def _elsewhere(fit: WallFit, compared: bool, known_shift_m: float) -> Iterator[Finding]:
+def _elsewhere(fit: RobustFit, compared: bool, known_shift_m: float) -> Iterator[Finding]:
     """A wall that is farther from its expected place than those that a self-calibrated run has seen."""
     shift_m = fit.mean_shift_m - known_shift_m - _SIGMAS * fit.mean_shift_std_m
     if shift_m < CALIBRATED_NOTED_M:
@@ -217,7 +217,7 @@ def _elsewhere(fit: WallFit, compared: bool, known_shift_m: float) -> Iterator[F
     yield Finding("wall-moved", words, shift_m >= CALIBRATED_REFUSED_M)
 
 
-def _scatter(fit: WallFit, wall: ExpectedWall) -> Iterator[Finding]:
+def _scatter(fit: RobustFit) -> Iterator[Finding]:
     """Phases that scatter about the wall far more than hidden light makes them."""
     bright = fit.weight > _DIM * np.median(fit.weight[fit.weight > 0])  # noise alone may decide dim pixels
     strange = float((bright & ~fit.fits).sum() / bright.sum())
@@ -229,8 +229,7 @@ def _scatter(fit: WallFit, wall: ExpectedWall) -> Iterator[Finding]:
     rms_rad = fit.residual_rms_rad
     if rms_rad.max() > SCATTER_NOTED_RAD:
         values = ", ".join(f"{1e3 * value:.0f}" for value in rms_rad)
-        words = (
-            f"the phases scatter by {values} mrad at {megahertz(wall.frequencies_hz)} about those of the wall"
-        )
-        words += ", far more than by hidden light: too noisy?"
+        at = megahertz(fit.wall.frequencies_hz)
+        words = f"the phases scatter by {values} mrad at {at} about those of the wall, far more than by "
+        words += "hidden light: too noisy?"
         yield Finding("scatter", words, bool(rms_rad.max() > SCATTER_REFUSED_RAD))

@@ -1,47 +1,74 @@
-"""The relay wall as the phases of a measurement show it: a fit of its plane and of phase offsets.
+"""Fits of the relay wall: what both of them find, and the robust one, which judges one image.
 
-All but 0.2 % of the light of a pixel comes straight from the relay wall. The phase of the phasor z_f over the
-wall's expected direct return d_f is therefore small and smooth:
+`itof.wall.wall_phases` has the equation. The robust fit may have a phase offset for each frequency.
 
-    arg(z_f conj d_f) = k_f (L - L_0) + o_f + hidden light + noise,   k_f = 4π f / c
-
-L is the wall's distance along the ray r of a pixel, and L_0 the expected one. For a plane, 1 / L = m · r is
-linear in the three numbers m, and dL = -L² r · dm. With an offset o_f for each frequency, 3 + F unknowns
-follow from H W F phases in closed form. The step is repeated (Gauss-Newton) until it is negligible.
-
-*Weights.* A pixel has the weight |z|², the inverse of its phase variance under noise of equal strength in all
-pixels, but at most |d|² in the same unit, so that a single bright pixel has no power. Tukey's biweight then
-reduces what does not fit the wall: pixels with much hidden light, edges of the wall, damaged pixels.
-docs/design.md (Wall found in the measurement) has the measured accuracy.
+*Weights of the robust fit.* A pixel has the weight |z|², the inverse of its phase variance under noise of
+equal strength in all pixels, but at most |d|² in the same unit, so that a single bright pixel has no power.
+Tukey's biweight then reduces what does not fit the wall: pixels with much hidden light, edges of the wall,
+damaged pixels. docs/design.md (Wall found in the measurement) has the measured accuracy.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Final, Generic
 
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import ArrayLike, NDArray
 
-from itof.wall.expected_wall import ExpectedWall
-from itof.wall.plane_phases import PlanePhases, wrapped
+from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf
+from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m
+from itof.wall.robust_solution import robust_solution
+from itof.wall.turned_reference import turned_reference
+from itof.wall.wall_phases import WallPhases, WallRays, by_frequency, four_cycles
 
-Floats = NDArray[np.float64]
-
-FITS_RAD = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
+FITS_RAD: Final = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
+MOST_PIXELS: Final = 2**14  # that decide a robust fit, evenly spread: more cost time and tell nothing new
 _DARK = 1e-12  # amplitude over the largest one of the image
 
 
 @dataclass(frozen=True)
-class WallFit:
-    """Outcome of `fit_wall`; axes are the camera's.
+class WallFit(Generic[A]):
+    """Wall and phases that images show; arrays of the library of the measurement.
 
     Attributes
     ----------
-    plane_per_m : (3,) fitted plane m, 1/m.
-    expected_plane_per_m : (3,) the plane that was expected.
-    offsets_rad : (F,) fitted phase offsets in [-π, π]; 0 if they were not fitted.
-    slope : (F,) k_f, rad per metre of depth.
+    plane_per_m : (..., 3) fitted plane m in camera axes, 1/m.
+    offsets_rad : (..., F) fitted phase offsets, modulo 2π.
+    wiggling_rad : (..., F, 2) fitted a_f and b_f of the four-cycle error; None if they were not fitted.
+    """
+
+    plane_per_m: A
+    offsets_rad: A
+    wiggling_rad: A | None
+
+    def moved(self, phasor: PhasorsOf[A], wall: ExpectedWall[A]) -> PhasorsOf[A]:
+        """(..., H, W, F) complex, the direct return of the expected `wall`, moved to this wall and phases.
+
+        It has the brightness of the expected wall. `phasor` (..., H, W, F) are the images that were fitted.
+        """
+        xp = array_namespace(phasor)
+        shape = tuple(phasor.shape)
+        turn = WallRays.of(xp, wall).turn(self.plane_per_m, self.offsets_rad)[0]
+        direct = turned_reference(wall.direct, xp.reshape(xp.matrix_transpose(turn), shape))
+        if self.wiggling_rad is not None:  # the camera's error is that of the phase of a whole pixel
+            waves = xp.stack(four_cycles(xp, by_frequency(xp, phasor)), axis=-2)  # (..., F, 2, n)
+            wiggle = xp.sum(waves * self.wiggling_rad[..., None], axis=-2)
+            wiggle = xp.reshape(xp.matrix_transpose(wiggle), shape)
+            direct = xp.astype(direct * (xp.cos(wiggle) + 1j * xp.sin(wiggle)), direct.dtype)
+        return direct
+
+
+@dataclass(frozen=True)
+class RobustFit(WallFit):
+    """Outcome of `fit_wall` for one image, in numpy; axes are the camera's.
+
+    `offsets_rad` are in [-π, π], and 0 if they were not fitted.
+
+    Attributes
+    ----------
+    wall : the expected wall.
     shift_m : (H, W) L - L_0, metres along the ray; 0 in pixels that were not used.
     residual_rad : (H, W, F) phases that the fit leaves, in [-π, π]; 0 in pixels that were not used.
     weight : (H, W) weight of each pixel before Tukey's, with sum 1; 0 in pixels that were not used.
@@ -52,10 +79,7 @@ class WallFit:
     offsets_std_rad : (F,) the same for the offsets; 0 if they were not fitted.
     """
 
-    plane_per_m: Floats
-    expected_plane_per_m: Floats
-    offsets_rad: Floats
-    slope: Floats
+    wall: ExpectedWall
     shift_m: Floats
     residual_rad: Floats
     weight: Floats
@@ -76,20 +100,17 @@ class WallFit:
     @property
     def distance_shift_m(self) -> float:
         """Change of the wall's distance from the camera, metres along its normal; > 0: farther away."""
-        before, after = (np.linalg.norm(m) for m in (self.expected_plane_per_m, self.plane_per_m))
-        return float(1 / after - 1 / before)
+        return distance_m(self.plane_per_m) - distance_m(self.wall.plane_per_m)
 
     @property
     def tilt_deg(self) -> float:
         """Angle between the fitted and the expected wall, degrees."""
-        one, other = self.expected_plane_per_m, self.plane_per_m
-        # by its tangent: the cosine of a small angle has no digits left
-        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
+        return angle_deg(self.wall.plane_per_m, self.plane_per_m)
 
     @property
     def misfit_rad(self) -> Floats:
         """(F,) weighted mean of |k_f (L - L_0) + o_f|: by how much the expected phases are wrong."""
-        total = self.slope * self.shift_m[..., None] + self.offsets_rad
+        total = self.wall.slope * self.shift_m[..., None] + self.offsets_rad
         mean: Floats = np.tensordot(self.weight, np.abs(total), axes=2)
         return mean
 
@@ -100,7 +121,7 @@ class WallFit:
         return self.residual_rms_rad * np.sqrt(unknowns * (self.weight**2).sum())
 
     @property
-    def fits(self) -> NDArray[np.bool_]:
+    def fits(self) -> Bools:
         """(H, W) pixels whose residual is below `FITS_RAD` at every frequency."""
         return (self.weight > 0) & (np.abs(self.residual_rad) < FITS_RAD).all(axis=-1)
 
@@ -118,6 +139,11 @@ class WallFit:
         share: Floats = np.tensordot(strength, (np.abs(self.residual_rad) < FITS_RAD) * 1.0, axes=2)
         return share / strength.sum()
 
+    @property
+    def mismatch(self) -> float:
+        """1 - weighted mean cosine of the residual: 0 for a wall, 1 for phases at random."""
+        return float(1 - np.tensordot(self.weight, np.cos(self.residual_rad), axes=2).mean())
+
 
 def fit_wall(
     phasor: ArrayLike,
@@ -125,52 +151,59 @@ def fit_wall(
     *,
     offsets: bool = False,
     start_per_m: ArrayLike | None = None,
-    direct: ArrayLike | None = None,
-) -> WallFit:
+) -> RobustFit:
     """Fit the wall's plane and, with `offsets`, a phase offset for each frequency to one measurement.
 
     Parameters
     ----------
     phasor : (H, W, F) complex, in any unit. Pixels that are 0 at some frequency are not used. For several
         images of the same corner, fit each one, or their mean.
-    wall : the expected wall.
+    wall : the expected wall. Its `direct` may be a capture of the empty corner (`ExpectedWall.captured`).
     offsets : whether to fit phase offsets. Only differences of distance between pixels tell an offset from
         a distance, so noise counts ten times as much; with one frequency it is hardly possible.
     start_per_m : (3,) plane to start from; by default the expected one, which must be right to about a
         quarter of a wavelength, c / 8f. `itof.wall.wall_search.plane_from_nothing` finds another one.
-    direct : (H, W, F) complex, a measured direct return that replaces ``wall.direct``.
 
     Raises
     ------
     ValueError : another shape than that of the expected wall, values that are not finite, or fewer than
         3 + F pixels with light.
     """
-    z = without_unit(phasor, wall)
-    known = without_unit(wall.direct if direct is None else direct, wall)
+    z, known = without_unit(phasor, wall), without_unit(wall.direct, wall)
     used = (z != 0).all(-1) & (known != 0).all(-1) & np.isfinite(wall.radial_depth_m)
     if np.count_nonzero(used) < 3 + len(wall.frequencies_hz):
         raise ValueError(f"{np.count_nonzero(used)} pixels hold light: too few for a plane")
-    weight = pixel_weights(z[used], known[used])  # (n,)
-    phases = np.angle(z[used]) - np.angle(known[used])  # (n, F)
-    problem = PlanePhases(phases, wall.rays[used], wall.radial_depth_m[used], weight, wall.slope, offsets)
+    z, known = z[used], known[used]  # (n, F)
+    problem = _problem(z, known, wall, used, offsets)
     start = wall.plane_per_m if start_per_m is None else np.asarray(start_per_m, dtype=np.float64)
-    plane, offset, covariance = problem.thinned().solve(start)
-    residual, tangent, depth_m = problem.residual(plane, offset)
-    shift_m = np.where(np.isfinite(depth_m), depth_m - wall.radial_depth_m[used], 0.0)
-    along = np.sign(shift_m) * weight @ tangent  # (3,) derivative of the mean shift
-    fitted = known[used] * np.exp(1j * (phases - residual))
-    return WallFit(
+    plane, local, covariance = robust_solution(problem.thinned(max(1, len(z) // MOST_PIXELS)), start)
+    residual = problem.residual(plane, local)
+    left = np.where(residual.meets, residual.left, np.pi)  # (F, n)
+    weight = problem.weight[0]
+    shift_m = residual.depth_m - problem.pixels.expected_depth_m
+    along = problem.pixels.tangent(residual.depth_m) @ (np.sign(shift_m) * weight)  # (3,) of the mean shift
+    offset = local.sum(axis=1)  # (F,) 0 if there is none
+    return RobustFit(
         plane_per_m=plane,
-        expected_plane_per_m=wall.plane_per_m,
-        offsets_rad=wrapped(offset),
-        slope=wall.slope,
+        offsets_rad=offset - 2 * np.pi * np.round(offset / (2 * np.pi)),
+        wiggling_rad=None,
+        wall=wall,
         shift_m=_image(used, shift_m),
-        residual_rad=_image(used, residual),
+        residual_rad=_image(used, left.T),
         weight=_image(used, weight),
-        coherence=_coherence(z[used], fitted),
+        coherence=_coherence(z, known * np.exp(1j * (problem.phases - left).T)),
         mean_shift_std_m=float(np.sqrt(max(along @ covariance[:3, :3] @ along, 0.0))),
         offsets_std_rad=np.sqrt(np.maximum(np.diag(covariance)[3:], 0.0)) if offsets else 0 * offset,
     )
+
+
+def _problem(z: Phasors, known: Phasors, wall: ExpectedWall, used: Bools, offsets: bool) -> WallPhases:
+    """Phases of used pixels (n, F) over the expected ones; without offsets the plane is the only unknown."""
+    phases = (np.angle(z) - np.angle(known)).T
+    xp = array_namespace(z)
+    rays = WallRays(xp, wall.rays[used], used[used], wall.radial_depth_m[used], wall.slope[:, None])
+    basis = np.ones((len(phases), int(offsets), len(z)))
+    return WallPhases(xp, rays, phases, basis, pixel_weights(z, known)[None])
 
 
 def without_unit(phasor: ArrayLike, wall: ExpectedWall) -> NDArray[np.complex128]:
@@ -193,19 +226,19 @@ def without_unit(phasor: ArrayLike, wall: ExpectedWall) -> NDArray[np.complex128
     return np.where(np.abs(scaled) < _DARK, 0.0, scaled)
 
 
-def pixel_weights(phasor: NDArray[Any], direct: NDArray[Any]) -> Floats:
+def pixel_weights(phasor: Phasors, direct: Phasors) -> Floats:
     """(n,) weights of pixels (n, F), with sum 1: |z|², at most |d|² in the unit of z."""
     strength, expected = np.abs(phasor).mean(axis=-1), np.abs(direct).mean(axis=-1)
     weight = np.minimum(strength / np.median(strength / expected), expected) / expected.max()
     return weight**2 / (weight**2).sum()
 
 
-def _image(used: NDArray[np.bool_], values: Floats) -> Floats:
+def _image(used: Bools, values: Floats) -> Floats:
     image = np.zeros(used.shape + values.shape[1:])
     image[used] = values
     return image
 
 
-def _coherence(z: NDArray[Any], model: NDArray[Any]) -> Floats:
+def _coherence(z: Phasors, model: Phasors) -> Floats:
     together = np.abs((z * np.conj(model)).sum(axis=0))
     return together / np.sqrt((np.abs(z) ** 2).sum(axis=0) * (np.abs(model) ** 2).sum(axis=0))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from itof.arrays import Floats, Phasors
 from itof.light import phase
 from itof.pinhole import pixel_rays
 from itof.unwrapping import combined_range_m, unwrap_depth
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.plane_phases import MOST_PIXELS
 from itof.wall.self_calibration import calibrate
-from itof.wall.wall_fit import WallFit, fit_wall, pixel_weights, without_unit
+from itof.wall.wall_fit import MOST_PIXELS, RobustFit, fit_wall, pixel_weights, without_unit
 
 WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall
 _OFFSETS_HELP = 0.7  # residual's mean square with offsets over that without: then they are real
@@ -24,9 +24,7 @@ _STEPS = 40  # of the search; each takes a few milliseconds at 320 x 240
 _SAME_PLANE = 1e-6  # relative change of a step that ends the search: the fit goes on from there
 
 
-def locate_wall(
-    phasor: NDArray[Any], wall: ExpectedWall, *, direct: NDArray[Any] | None = None
-) -> WallFit | None:
+def locate_wall(phasor: Phasors, wall: ExpectedWall, *, direct: Phasors | None = None) -> RobustFit | None:
     """The fit of the wall that explains the phases (H, W, F); None if too few pixels hold light.
 
     Phase offsets are fitted only where the plane alone leaves much more: noise of 1 % would otherwise put
@@ -34,21 +32,23 @@ def locate_wall(
     `direct`, a measured direct return, it is only searched near the place that this return shows.
     """
     try:
-        near = best_fit(phasor, wall, None, direct)
-        if found(near) or direct is not None:
+        if direct is not None:
+            return best_fit(phasor, wall.captured(direct))
+        near = best_fit(phasor, wall)
+        if found(near):
             return near
-        far = best_fit(phasor, wall, plane_from_nothing(phasor, wall), None)
+        far = best_fit(phasor, wall, plane_from_nothing(phasor, wall))
     except ValueError:  # too few pixels
         return None
     return max(near, far, key=lambda each: float(each.wall_share.mean()))
 
 
-def found(fit: WallFit | None) -> bool:
+def found(fit: RobustFit | None) -> bool:
     """Whether the fit shows a wall at every frequency."""
     return fit is not None and bool(fit.wall_share.min() >= WALL_SHARE)
 
 
-def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> NDArray[np.float64]:
+def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> Floats:
     """(3,) plane m of a wall whose pose is unknown, 1/m in camera axes: a start for `fit_wall`.
 
     The phases of all frequencies together give each pixel's distance L (`itof.unwrap_depth`), and
@@ -105,16 +105,11 @@ def wall_from_nothing(
     return ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
 
 
-def best_fit(
-    phasor: NDArray[Any],
-    wall: ExpectedWall,
-    start_per_m: NDArray[np.float64] | None = None,
-    direct: NDArray[Any] | None = None,
-) -> WallFit:
+def best_fit(phasor: Phasors, wall: ExpectedWall, start_per_m: Floats | None = None) -> RobustFit:
     """The fit from one start (`itof.wall.wall_fit.fit_wall`), with phase offsets where they are real."""
-    plane = fit_wall(phasor, wall, start_per_m=start_per_m, direct=direct)
+    plane = fit_wall(phasor, wall, start_per_m=start_per_m)
     if len(wall.frequencies_hz) == 1:
         return plane
-    both = fit_wall(phasor, wall, offsets=True, start_per_m=start_per_m, direct=direct)
+    both = fit_wall(phasor, wall, offsets=True, start_per_m=start_per_m)
     left, without = (float((each.residual_rad**2 * each.weight[..., None]).sum()) for each in (both, plane))
     return both if left < _OFFSETS_HELP * without else plane

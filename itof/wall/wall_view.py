@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from itof import direct_phasors
+from itof.arrays import Phasors
 from itof.wall.expected_wall import ExpectedWall
 from storage import NightError
 from storage.contract import STRICT
@@ -59,9 +59,7 @@ class WallView:
             self.wall_normal,
         )
 
-    def expected_wall(
-        self, direct: NDArray[np.complexfloating[Any, Any]], frequencies_hz: Sequence[float]
-    ) -> ExpectedWall:
+    def expected_wall(self, direct: Phasors, frequencies_hz: Sequence[float]) -> ExpectedWall:
         """The wall with its direct return (H, W, F), computed or captured.
 
         Raises

@@ -12,10 +12,10 @@ from torch import Tensor
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
+from model.data.fit_cache import FitCache
 from model.data.rows import ARRAYS, RowBlock
 from model.data.scene_walls import SceneWalls
 from model.data.sensor_draws import SensorDraws
-from model.data.wall_fits import WallFits
 from model.network.channels import IMAGES_AT_ONCE, InputSpec
 
 
@@ -86,7 +86,7 @@ class BatchMaker:
         camera = BinnedCamera(sensor, inputs.frequencies_hz, width, height)
         return cls(inputs, places, here, SensorDraws(camera, here.direct if sensor_capture else None))
 
-    def upload(self, block: RowBlock, fits: WallFits | None = None) -> RowBlock:
+    def upload(self, block: RowBlock, fits: FitCache | None = None) -> RowBlock:
         """A copy of `block` on the device, as tensors, with the reference of every image.
 
         Its phasors are those of the network's frequencies, as rendered, or as the camera measures them; the
@@ -102,7 +102,7 @@ class BatchMaker:
             rows = replace(rows, phasors=torch.cat(parts))
         return replace(rows, reference=self._references(rows, fits)) if self.inputs.uses_residual else rows
 
-    def upload_to_augment(self, block: RowBlock, fits: WallFits | None = None) -> RowBlock:
+    def upload_to_augment(self, block: RowBlock, fits: FitCache | None = None) -> RowBlock:
         """A copy of `block` on the device, as tensors, with phasors as rendered; `fits` as in `upload`.
 
         Without a camera it has the reference of every image: that of the phasors as rendered, because it
@@ -123,7 +123,7 @@ class BatchMaker:
         pixels = self.wall.direct[..., 0].nbytes
         return int(pixels * self.inputs.reference_count)
 
-    def _references(self, rows: RowBlock, fits: WallFits | None) -> Tensor:
+    def _references(self, rows: RowBlock, fits: FitCache | None) -> Tensor:
         """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
         shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)

@@ -77,8 +77,9 @@ def fit_input_spec(
                 seen = phasors[..., places]
                 known = _reference(unscaled, seen, wall) if wall else direct
                 known, inverse = unscaled.parted(known)
-                channels_seen = residual_channels(seen, known, wall_alone=unscaled.wall_alone)
-                residual = np.asarray(channels_seen, np.float64)  # (n, 2F - 1, H, W)
+                residual = np.asarray(  # (n, 2F - 1, H, W)
+                    residual_channels(seen, known, wall_alone=unscaled.wall_alone), np.float64
+                )
                 if wall and unscaled.shows_wall:
                     walls.extend(_wall_statistics(inverse[..., 0].real.astype(np.float64), wall))
                 means.extend(residual.mean(axis=(2, 3)))

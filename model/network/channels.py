@@ -12,7 +12,8 @@ from pydantic.dataclasses import dataclass
 
 from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import FittedWall, fitted_wall
+from itof.wall.self_calibration import calibrate
+from itof.wall.wall_fit import WallFit
 from model.settings import Channels, Reference
 from storage import NightError
 from storage.contract import STRICT
@@ -155,11 +156,11 @@ class InputSpec:
             raise ChannelError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
-    def fit_of(self, phasor: Any, wall: ExpectedWall) -> FittedWall:
+    def fit_of(self, phasor: Any, wall: ExpectedWall) -> WallFit:
         """The wall and phases that these phasors (..., H, W, F) show; only where `self_calibrates`."""
-        return fitted_wall(phasor, wall, wiggling=self.reference == "self+wiggling")
+        return calibrate(phasor, wall, wiggling=self.reference == "self+wiggling")
 
-    def reference_for(self, phasor: Any, wall: ExpectedWall, fit: FittedWall | None = None) -> Any:
+    def reference_for(self, phasor: Any, wall: ExpectedWall, fit: WallFit | None = None) -> Any:
         """The reference that `apply` needs for these phasors (..., H, W, F).
 
         The direct return of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall
@@ -180,7 +181,7 @@ class InputSpec:
         inverse = xp.sum(wall.rays * fit.plane_per_m[..., None, None, :], axis=-1)  # (..., H, W)
         return xp.concat([direct, xp.astype(inverse, direct.dtype)[..., None]], axis=-1)
 
-    def reference_of_image(self, phasor: Any, wall: ExpectedWall, fit: FittedWall | None = None) -> Any:
+    def reference_of_image(self, phasor: Any, wall: ExpectedWall, fit: WallFit | None = None) -> Any:
         """`reference_for` these phasors (..., H, W, F), with the weights that their amplitudes give it.
 
         (..., H, W, F or F + 1) complex, for `apply` with ``is_weighted``. Noise of relative size σ in the

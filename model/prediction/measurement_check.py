@@ -12,7 +12,7 @@ import numpy as np
 
 from itof import amplitude
 from itof.files.measurement_files import Measurement, MeasurementError, read_measurement
-from itof.wall.check_result import MeasurementCheck, WallFound, joined
+from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding
 from itof.wall.plausibility import check_measurement, check_reference
 from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
@@ -74,7 +74,7 @@ def check_measured(
     """
     calibrated = predictor.config.inputs.self_calibrates
     wall, names = predictor.wall, [f"{index:06d}" for index in range(len(measured.phasors))]
-    walls: list[WallFound | None] = [None] * len(names)
+    walls: list[WallSummary | None] = [None] * len(names)
     found: list[tuple[Finding, str | None]] = []  # with the image's name; None for the reference
     if measured.reference is not None:
         found += [(finding, None) for finding in check_reference(measured.reference, wall)]
@@ -90,15 +90,15 @@ def check_measured(
                 self_calibrated=calibrated,
                 known_shift_m=predictor.config.inputs.largest_shift_m,
             )
-            walls[index] = None if seen.wall is None else WallFound.of_fit(seen.wall)
-            findings = [*seen.findings, *([] if rescale else _unit(predictor, measured, index))]
+            walls[index] = None if seen.wall is None else WallSummary.of_fit(seen.wall)
+            findings = [*seen.findings, *([] if rescale else _amplitude_findings(predictor, measured, index))]
             found += [(finding, name) for finding in findings]
             useless += any(finding.refused for finding in findings)
             bar.update()
     return MeasurementCheck(joined(found), tuple(walls), measured.reference is not None, measured.ignored)
 
 
-def _unit(predictor: Predictor, measured: Measurement, index: int) -> list[Finding]:
+def _amplitude_findings(predictor: Predictor, measured: Measurement, index: int) -> list[Finding]:
     """Amplitudes far from those of the training, for a network that uses them."""
     inputs = predictor.config.inputs
     if "paper" not in inputs.channels:

@@ -15,9 +15,9 @@ from itof.files.measurement_files import Measurement, MeasurementError
 from itof.pictures.figures import prediction_figure, write_figure
 from itof.pictures.pointclouds import object_points, write_point_cloud
 from itof.pictures.wall_figure import wall_figure
-from itof.wall.check_result import MeasurementCheck, WallFound
-from itof.wall.empty_corner import FoundWall
-from itof.wall.wall_fit import WallFit
+from itof.wall.check_result import MeasurementCheck, WallSummary
+from itof.wall.empty_corner import CapturedPlane
+from itof.wall.wall_fit import RobustFit
 from itof.wall.wall_search import locate_wall
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.predictor import BATCH, InputError, Predictor, load
@@ -60,7 +60,7 @@ class PredictedImage:
     object_pixels: int
     median_radial_depth_m: float | None
     files: tuple[str, ...]
-    wall: WallFound | None
+    wall: WallSummary | None
     expected_mae_m: float | None = None
     expected_depth_error_m: float | None = None
 
@@ -94,7 +94,7 @@ class FilePrediction:
 
     images: tuple[PredictedImage, ...]
     check: MeasurementCheck
-    wall: FoundWall | None = None
+    wall: CapturedPlane | None = None
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -235,7 +235,7 @@ def _write(
     folder: Path,
     name: str,
     one: DepthMap,
-    wall: WallFound | None,
+    wall: WallSummary | None,
     predictor: Predictor,
     attributes: dict[str, str],
 ) -> PredictedImage:
@@ -256,13 +256,17 @@ def _write(
 
 
 def _with_wall(
-    folder: Path, image: PredictedImage, fit: WallFit | None, predictor: Predictor, attributes: dict[str, str]
+    folder: Path,
+    image: PredictedImage,
+    fit: RobustFit | None,
+    predictor: Predictor,
+    attributes: dict[str, str],
 ) -> PredictedImage:
     """Write the picture of the wall that was found, and add it to the files of the image."""
     if fit is None:
         return image
     file, title = f"{image.name}_wall.png", f"{attributes['measurement']}, image {image.name}"
-    figure = wall_figure(title, fit, predictor.config.inputs.frequencies_hz)
+    figure = wall_figure(title, fit)
     write_figure(folder / file, figure)
     return replace(image, files=(*image.files, file))
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from itof import DepthMap, amplitude
-from itof.wall.empty_corner import FoundWall, captured_wall, find_wall
+from itof.wall.empty_corner import CapturedPlane, captured_wall, find_wall
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallPlaceError, WallView
 from model.device import choose_device, plain_memory_errors
@@ -166,7 +166,7 @@ class Predictor:
             return None
         return captured_wall(known, self.wall) if self._moves_wall(known) else self.wall.captured(known)
 
-    def found_wall(self, reference: ArrayLike) -> FoundWall | None:
+    def found_wall(self, reference: ArrayLike) -> CapturedPlane | None:
         """Where a capture (H, W, F) of the empty corner shows the wall; None if that does not matter.
 
         It matters to channels that calibrate themselves.

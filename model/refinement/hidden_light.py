@@ -64,7 +64,7 @@ class HiddenLight:
         None where too few blocks of pixels see the wall, or there is no hidden light at all.
         """
         found = calibrate(phasor, wall)
-        direct = weighted_reference(found.direct, np.abs(phasor[..., 0]))
+        direct = weighted_reference(found.moved(phasor, wall), np.abs(phasor[..., 0]))
         strength = np.abs(direct[..., :1])
         safe = np.where((phasor != 0).all(-1) & (direct != 0).all(-1), 1.0, np.nan)[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
+from model.device import one_thread
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Fit, Guess, fitted
-from model.refinement.light.one_thread import one_thread
 from model.refinement.light.room import Room
 from model.refinement.light.solids import Solid
 from model.refinement.light.three_bounces import Bounces

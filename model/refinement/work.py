@@ -19,11 +19,11 @@ from itof import DepthMap
 from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
+from model.device import one_thread
 from model.judging.judging import Bench
 from model.judging.refusals import EvaluationError
 from model.network.metrics import ImageMetrics, image_metrics
 from model.prediction.predictor import Predictor, load
-from model.refinement.light.one_thread import one_thread
 from model.refinement.light.room import Room, room_of
 from model.refinement.refined_result import FoundSolid, RefinedScene, SceneNumbers
 from model.refinement.refining import Family, Refined, refined

@@ -18,9 +18,9 @@ from model.data.augmentation import Augmentation
 from model.data.batches import BatchMaker
 from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed, window_rows
+from model.data.fit_cache import FitCache
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
-from model.data.wall_fits import WallFits
 from model.run_folder.history import HISTORY_FILE, EpochRecord, compared_losses, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
@@ -114,7 +114,7 @@ class TrainingState:
             rows,
             window_rows,
             functools.partial(
-                prepare, fits=WallFits(inputs) if inputs.self_calibrates and is_streamed else None
+                prepare, fits=FitCache(inputs) if inputs.self_calibrates and is_streamed else None
             ),
             prepares_ahead=self.processes.device.type != "cpu",
         )

@@ -14,7 +14,7 @@ from itof import DepthMap, phasor_channels, write_image
 from itof.capture.record import read_import_record
 from itof.files.measurement_files import Measurement, read_measurement
 from itof.files.measurement_writing import ENDINGS
-from itof.wall.empty_corner import FoundWall, find_wall
+from itof.wall.empty_corner import CapturedPlane, find_wall
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
 from itof.weighted_reference import weighted_reference
@@ -57,7 +57,7 @@ class WrittenPairs:
     """Outcome of `write_pairs`: the dataset, and the wall of its empty corners (None: nobody looked)."""
 
     dataset: Dataset
-    wall: FoundWall | None
+    wall: CapturedPlane | None
 
     @property
     def sentences(self) -> tuple[str, ...]:

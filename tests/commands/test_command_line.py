@@ -12,6 +12,7 @@ import pytest
 from night_commands import DEFECT, night_here, refusal
 
 import cli
+from commandline.options import Megahertz
 from itof import ImageFileError
 from model.settings import TrainSettings, training_fields
 from storage import NightError
@@ -111,7 +112,7 @@ def failing_with(error):
     ids=repr,
 )
 def test_an_unexpected_exception_is_a_defect_with_a_traceback(monkeypatch, error):
-    monkeypatch.setattr(cli, "open_dataset", failing_with(error))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(error))
     done = night_here("night-render", "status", "data", defect=True)
     assert (done.returncode, done.stdout) == (DEFECT, "")
     lines = done.stderr.splitlines()
@@ -132,7 +133,7 @@ def test_a_defect_while_options_are_parsed_is_one_too(monkeypatch):
 
 
 def test_tests_see_a_defect_as_a_failure(monkeypatch):
-    monkeypatch.setattr(cli, "open_dataset", failing_with(KeyError("frequency")))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(KeyError("frequency")))
     with pytest.raises(AssertionError, match="KeyError: 'frequency'"):
         night_here("night-render", "status", "data")
 
@@ -148,7 +149,7 @@ def test_tests_see_a_defect_as_a_failure(monkeypatch):
     ids=repr,
 )
 def test_what_a_user_can_change_is_one_sentence(monkeypatch, error, sentence):
-    monkeypatch.setattr(cli, "open_dataset", failing_with(error))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(error))
     assert refusal("night-render", "status", "data") == sentence
     done = night_here("night-render", "status", "data", NIGHT_TRACEBACK="1")
     assert done.returncode == 2
@@ -160,11 +161,13 @@ def test_signals_end_a_command_with_their_own_codes(monkeypatch):
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` ignores it
     try:
         for number in (signal.SIGTERM, signal.SIGHUP):
-            monkeypatch.setattr(cli, "open_dataset", lambda _, number=number: os.kill(os.getpid(), number))
+            monkeypatch.setattr(
+                "commandline.rendering.open_dataset", lambda _, number=number: os.kill(os.getpid(), number)
+            )
             assert night_here("night-render", "status", "data").returncode == 128 + number
     finally:
         signal.signal(signal.SIGHUP, before)
-    monkeypatch.setattr(cli, "open_dataset", failing_with(KeyboardInterrupt()))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(KeyboardInterrupt()))
     done = night_here("night-render", "status", "data")
     assert (done.returncode, done.stderr) == (128 + signal.SIGINT, "interrupted\n")
 
@@ -189,4 +192,4 @@ def test_a_command_in_this_process_leaves_no_trace_in_it(tmp_path):
     ],
 )
 def test_frequencies_are_given_in_megahertz_in_any_order(text, frequencies_hz):
-    assert cli.Megahertz().convert(text, None, None) == frequencies_hz
+    assert Megahertz().convert(text, None, None) == frequencies_hz

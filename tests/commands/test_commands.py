@@ -18,8 +18,8 @@ from night_commands import FIGURES, TRAINING, UNCERTAINTY, night, night_here, wo
 from render_runs import workers_of
 
 from itof import TransientReader, read_image
-from render.byte_size import size
 from scenegen import open_dataset
+from storage.byte_size import size
 
 
 def tree(folder):

@@ -32,7 +32,6 @@ WINGS = {
     "itof.pictures": {"itof", "itof.wall"},
     "itof.capture": {"itof", "itof.exr", "itof.files", "itof.wall", "itof.pictures"},
     "render": set(),
-    "render.byte_size": set(),
     "render.options": set(),
     "render.backend": set(),
     "render.settings": {"render.options", "render.backend"},
@@ -54,10 +53,10 @@ WINGS = {
     },
     "render.farm.claims": set(),  # the locks of scenes, which products take too
     "render.farm": {
-        *("render.rendering", "render.settings", "render.backend", "render.options", "render.byte_size"),
+        *("render.rendering", "render.settings", "render.backend", "render.options"),
         *("render.edited_scenes", "render.farm.claims"),
     },
-    "render.products": {"render.farm.claims", "render.settings", "render.options", "render.byte_size"},
+    "render.products": {"render.farm.claims", "render.settings", "render.options"},
     "render.pairs": set(),
     "render.mirror_panels": {"render.transport", "render.products", "render.settings", "render.backend"},
     "model": set(),
@@ -67,7 +66,7 @@ WINGS = {
     "model.run_folder": {"model.network", "model.settings"},
     "model.data": {"model.network", "model.settings"},
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
-    "model.refinement.light": {"model.data", "model.network"},
+    "model.refinement.light": {"model.data", "model.network", "model.device"},
     "model.training": {
         *("model.refinement.light", "model.data", "model.network", "model.run_folder", "model.device"),
         "model.settings",
@@ -87,7 +86,7 @@ WINGS = {
     },
     "model.refinement": {
         *("model.refinement.light", "model.judging", "model.prediction", "model.data", "model.network"),
-        *("model.run_folder", "model.settings"),
+        *("model.run_folder", "model.device", "model.settings"),
     },
     "commandline": set(),
     "cli": set(),

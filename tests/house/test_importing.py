@@ -11,7 +11,7 @@ from source_tree import ROOMS, ROOT, sources
 
 HEAVY = {"mitsuba", "drjit", "mitransient", "bpy", "torch"}
 PACKAGES = [room for room in ROOMS if f"{room}/__init__.py" in sources()]
-LAZY = ("itof", "render", "model")
+LAZY = ("scenegen", "itof", "render", "model")
 
 
 def loaded_by(code, tmp_path, **environment):

@@ -10,7 +10,8 @@ from wall_measurements import FOV_DEG, FREQUENCIES_HZ, noise
 
 from itof import direct_phasors, residual_channels
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import calibrate, turned_reference
+from itof.wall.self_calibration import calibrate
+from itof.wall.turned_reference import turned_reference
 from itof.wall.wall_search import wall_from_nothing
 
 OFFSETS_RAD = np.array([0.005, -0.005, 0.005])
@@ -40,9 +41,14 @@ def hidden(wall, seed=0):
     return 1 + HIDDEN_RAD * np.stack([a + 1j * b for a, b in zip(waves[::2], waves[1::2], strict=True)], -1)
 
 
-def residual(phasor, wall, **options):
+def calibrated(phasor, wall, **options):
+    """(..., H, W, F) direct return of the wall that the phasors show."""
+    return calibrate(phasor, wall, **options).moved(phasor, wall)
+
+
+def residual(phasor, wall):
     """(2F - 1, H, W) channels after the calibration."""
-    return residual_channels(phasor, calibrate(phasor, wall, **options).direct)
+    return residual_channels(phasor, calibrated(phasor, wall))
 
 
 @pytest.mark.parametrize(("shift_m", "tilt_deg"), [(0.0, 0.0), (-0.005, 0.5), (0.08, 3.0), (-0.3, 0.0)])
@@ -52,7 +58,7 @@ def test_plane_and_offsets_of_a_wall_alone_are_found(wall, shift_m, tilt_deg):
     # To the mean over a pixel, the direct return is known up to higher moments of its paths.
     np.testing.assert_allclose(found.plane_per_m, other.plane_per_m, atol=5e-4)
     np.testing.assert_allclose(found.offsets_rad, OFFSETS_RAD, atol=HIDDEN_RAD / 3)
-    assert not found.wiggling_rad.any()
+    assert found.wiggling_rad is None
     if not shift_m:
         np.testing.assert_allclose(found.plane_per_m, wall.plane_per_m, atol=1e-12)
         np.testing.assert_allclose(found.offsets_rad, OFFSETS_RAD, atol=1e-12)
@@ -82,7 +88,7 @@ def test_the_channels_of_hidden_light_do_not_depend_on_where_the_wall_is_nor_on_
 def test_all_that_is_lost_of_the_hidden_light_is_a_plane_and_an_offset_per_frequency(wall):
     light = hidden(wall)
     z = wall.direct * light
-    known, self_calibrated = (residual_channels(z, each) for each in (wall.direct, calibrate(z, wall).direct))
+    known, self_calibrated = (residual_channels(z, each) for each in (wall.direct, calibrated(z, wall)))
     lost = np.moveaxis(known[:3] - self_calibrated[:3], 0, -1)  # (H, W, F) of Im r_f
     tangent = -(wall.radial_depth_m**2)[..., None] * wall.rays  # (H, W, 3)
     columns = [(tangent[..., None, i] * wall.slope).ravel() for i in range(3)]
@@ -137,16 +143,17 @@ def test_pixels_that_do_not_see_the_wall_do_not_move_it(wall, share):
     found = calibrate(z, wall)
     depth_m = 1 / (wall.rays @ found.plane_per_m)
     assert np.abs(depth_m / other.radial_depth_m - 1)[rows:].max() < 2e-3
-    assert np.isfinite(found.direct).all()
+    assert np.isfinite(found.moved(z, wall)).all()
 
 
 def test_images_without_a_wall_stay_finite(wall):
     images = np.stack([0 * wall.direct, noise(wall.direct.shape), wall.direct])
     found = calibrate(images, wall)
-    for array in (found.plane_per_m, found.offsets_rad, found.direct):
+    direct = found.moved(images, wall)
+    for array in (found.plane_per_m, found.offsets_rad, direct):
         assert np.isfinite(array).all()
     np.testing.assert_allclose(found.plane_per_m[0], wall.plane_per_m, atol=1e-9)
-    np.testing.assert_allclose(found.direct[2], wall.direct, rtol=1e-9)
+    np.testing.assert_allclose(direct[2], wall.direct, rtol=1e-9)
 
 
 def test_the_four_cycle_error_of_a_square_wave_is_fitted_on_request(wall):
@@ -158,8 +165,9 @@ def test_the_four_cycle_error_of_a_square_wave_is_fitted_on_request(wall):
     found = calibrate(z, wall, wiggling=True)
     np.testing.assert_allclose(found.wiggling_rad[..., 0], 5e-3 * np.array([1.0, -0.5, 0.3]), rtol=1e-4)
     np.testing.assert_allclose(found.wiggling_rad[..., 1], 2e-3, rtol=1e-4)
-    np.testing.assert_allclose(found.direct, z, rtol=1e-6)
-    assert np.abs(residual(z, wall)[:3]).max() > 30 * np.abs(np.angle(z / found.direct)).max()
+    direct = found.moved(z, wall)
+    np.testing.assert_allclose(direct, z, rtol=1e-6)
+    assert np.abs(residual(z, wall)[:3]).max() > 30 * np.abs(np.angle(z / direct)).max()
 
 
 def test_a_single_frequency_is_enough(wall):
@@ -170,17 +178,17 @@ def test_a_single_frequency_is_enough(wall):
 def test_torch_and_numpy_agree_to_rounding_and_images_do_not_depend_on_their_batch(wall):
     walls = [paper_wall(40, 30, 0.01 * i, 0.3 * i) for i in range(3)]
     images = np.stack([each.direct for each in walls]) * hidden(wall) * np.exp(1j * OFFSETS_RAD)
-    ours = calibrate(images, wall)
-    theirs = calibrate(torch.from_numpy(images), wall.converted(torch.from_numpy))
-    np.testing.assert_allclose(theirs.direct.numpy(), ours.direct, rtol=1e-9)
+    ours = calibrated(images, wall)
+    theirs = calibrated(torch.from_numpy(images), wall.converted(torch.from_numpy))
+    np.testing.assert_allclose(theirs.numpy(), ours, rtol=1e-9)
     for index in range(3):
-        np.testing.assert_allclose(calibrate(images[index], wall).direct, ours.direct[index], rtol=1e-9)
-    single = calibrate(
+        np.testing.assert_allclose(calibrated(images[index], wall), ours[index], rtol=1e-9)
+    single = calibrated(
         torch.from_numpy(images.astype(np.complex64)),
         replace(wall.converted(torch.from_numpy), direct=torch.from_numpy(wall.direct.astype(np.complex64))),
     )
-    assert single.direct.dtype == torch.complex64
-    np.testing.assert_allclose(single.direct.numpy(), ours.direct, rtol=2e-6)
+    assert single.dtype == torch.complex64
+    np.testing.assert_allclose(single.numpy(), ours, rtol=2e-6)
 
 
 @pytest.mark.parametrize("wiggling", [False, True])
@@ -193,13 +201,17 @@ def test_cameras_of_different_fields_of_view_are_calibrated_at_once(wiggling):
     images = np.stack(seen) * np.exp(1j * OFFSETS_RAD)
     stacked = ExpectedWall.stacked(walls)
     here = stacked.converted(torch.from_numpy)
-    ours = calibrate(images, stacked, wiggling=wiggling)
-    theirs = calibrate(torch.from_numpy(images), here, wiggling=wiggling)
-    alone = [calibrate(*pair, wiggling=wiggling) for pair in zip(images, walls, strict=True)]
-    for name in ("plane_per_m", "offsets_rad", "wiggling_rad", "direct"):
-        expected = np.stack([getattr(each, name) for each in alone])
-        np.testing.assert_allclose(getattr(ours, name), expected, rtol=1e-7, atol=1e-10)
-        np.testing.assert_allclose(getattr(theirs, name).numpy(), expected, rtol=1e-7, atol=1e-10)
+
+    def found(phasor, wall):
+        fit = calibrate(phasor, wall, wiggling=wiggling)
+        waves = [fit.wiggling_rad] if wiggling else []
+        return fit.plane_per_m, fit.offsets_rad, *waves, fit.moved(phasor, wall)
+
+    ours, theirs = found(images, stacked), found(torch.from_numpy(images), here)
+    alone = [found(*pair) for pair in zip(images, walls, strict=True)]
+    for place, expected in enumerate(np.stack(each) for each in zip(*alone, strict=True)):
+        np.testing.assert_allclose(ours[place], expected, rtol=1e-7, atol=1e-10)
+        np.testing.assert_allclose(theirs[place].numpy(), expected, rtol=1e-7, atol=1e-10)
 
 
 def test_only_walls_in_the_same_plane_are_stacked(wall):

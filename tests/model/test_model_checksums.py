@@ -80,7 +80,7 @@ def test_damage_of_any_file_of_a_run_is_refused(finished_copy, file):
     read(finished_copy)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @pytest.mark.parametrize("file", ["run.json", "history.csv"])
 def test_every_bit_of_a_text_file_counts(finished_copy, file):
     path, read = finished_copy / file, READERS[file]
@@ -92,20 +92,13 @@ def test_every_bit_of_a_text_file_counts(finished_copy, file):
                 read(finished_copy)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("file", "every"),
-    [
-        ("best.safetensors", 1),
-        ("checkpoint.pt", 31),
-        pytest.param("checkpoint.pt", 1, marks=pytest.mark.thorough),
-    ],
-)
-def test_every_byte_of_a_binary_file_counts(closed_form_scenes, tmp_path, file, every):
+@pytest.mark.thorough
+@pytest.mark.parametrize("file", ["best.safetensors", "checkpoint.pt"])
+def test_every_byte_of_a_binary_file_counts(closed_form_scenes, tmp_path, file):
     small = train_on_one_thread(closed_form_scenes, tmp_path / "run", width=1, max_epochs=1)
     content = bytearray((small / file).read_bytes())
     assert read_label(bytes(content)).is_right
-    for position in range(0, len(content), every):
+    for position in range(len(content)):
         content[position] ^= 1 << position % 8
         label = read_label(bytes(content))
         assert label is None or not label.is_right, position

@@ -17,8 +17,8 @@ from itof.wall.wall_view import WallPlaceError
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
 from model.data.corner import wall_view
+from model.data.fit_cache import FitCache
 from model.data.shards import open_shards
-from model.data.wall_fits import WallFits
 from model.network import channels as channels_module
 from model.prediction.prediction_files import predict_file
 from model.prediction.predictor import InputError, load
@@ -95,18 +95,18 @@ def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch)
 def test_a_row_that_is_uploaded_again_has_the_same_reference_without_another_fit(
     self_run, shards, monkeypatch, reference, channels
 ):
-    predictor, fitted, fit = load(self_run, "cpu"), [], channels_module.fitted_wall
+    predictor, fitted, fit = load(self_run, "cpu"), [], channels_module.calibrate
 
     def counted_fit(phasor, *arguments, **options):
         fitted.append(len(phasor))
         return fit(phasor, *arguments, **options)
 
-    monkeypatch.setattr(channels_module, "fitted_wall", counted_fit)
+    monkeypatch.setattr(channels_module, "calibrate", counted_fit)
     scale = (1, 1) if channels == "residual+wall" else None
     inputs = replace(predictor.config.inputs, reference=reference, channels=channels, wall_scale_per_m=scale)
     maker = BatchMaker.for_shards(inputs, shards.manifest.frequencies_hz, predictor.wall, torch.device("cpu"))
     expected = maker.upload(shards.read(range(12))).reference
-    fits = WallFits(inputs)
+    fits = FitCache(inputs)
     fitted.clear()
     for rows in ([3, 4, 5], [4, 5, 7], [7, 3]):
         found = maker.upload_to_augment(shards.read(rows), fits).reference
@@ -262,8 +262,8 @@ def test_the_fit_of_an_image_does_not_depend_on_the_images_beside_it(size, tmp_p
     wall = view.expected_wall(shards.reference, shards.manifest.frequencies_hz)
     maker = BatchMaker.for_shards(inputs, shards.manifest.frequencies_hz, wall, torch.device("cpu"))
     phasor = maker.upload(shards.read(list(rows))).phasors
-    together = WallFits(inputs).of(rows, phasor, maker.wall)
+    together = FitCache(inputs).of(rows, phasor, maker.wall)
     for count in (1, 3):
-        fit = WallFits(inputs).of(rows[:count], phasor[:count], maker.wall)
+        fit = FitCache(inputs).of(rows[:count], phasor[:count], maker.wall)
         assert torch.equal(fit.plane_per_m, together.plane_per_m[:count])
         assert torch.equal(fit.offsets_rad, together.offsets_rad[:count])

@@ -112,7 +112,7 @@ def test_another_thread_may_use_h5py_while_zarr_writes(monkeypatch, exported, se
     def create_array(*arguments, **options):
         other = threading.Thread(target=lambda: h5py.File(exported).close(), daemon=True)
         other.start()
-        other.join(timeout=20)
+        other.join(timeout=300)
         assert not other.is_alive()
         return create(*arguments, **options)
 

@@ -79,9 +79,9 @@ def test_the_channels_of_a_capture_are_those_of_the_wall_where_it_is():
 
     def channels(wall):
         seen = camera(phasor)
-        return residual_channels(seen, calibrate(seen, wall).direct, "uniform")
+        return residual_channels(seen, calibrate(seen, wall).moved(seen, wall), "uniform")
 
-    true = residual_channels(phasor, calibrate(phasor, TRUE).direct, "uniform")
+    true = residual_channels(phasor, calibrate(phasor, TRUE).moved(phasor, TRUE), "uniform")
     there, elsewhere = (
         np.abs(channels(wall) - true).max()
         for wall in (captured_wall(camera(direct), WALL), WALL.captured(camera(direct)))

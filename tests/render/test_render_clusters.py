@@ -167,7 +167,7 @@ def test_a_cluster_of_which_a_job_was_refused_can_be_closed(slurm):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize("processes", [pytest.param(1, marks=pytest.mark.thorough), 2])
 def test_a_job_that_ends_is_submitted_again(slurm, processes):
     (slurm / "cluster.yaml").write_text(
         f"jobqueue:\n  slurm:\n    cores: 2\n    memory: 4GB\n    interface: lo\n    processes: {processes}\n"

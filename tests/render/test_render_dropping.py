@@ -12,11 +12,11 @@ from kill_points import names
 from night_commands import refusal, words
 from render_runs import results
 
-from render.byte_size import size
 from render.products.conversion import ExportError
 from render.products.transient_deletion import delete_transients, transient_bytes
 from render.products.verification import verify_scene
 from scenegen import open_dataset, read_record
+from storage.byte_size import size
 
 
 @pytest.fixture
@@ -133,7 +133,7 @@ for number in itertools.count():
 """
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_kill_leaves_no_record_without_its_files_and_the_next_call_goes_on(seven_renders, tmp_path):
     tests = Path(__file__).parents[1] / "support"
     subprocess.run([sys.executable, "-c", CAMPAIGN, seven_renders, tmp_path], check=True, cwd=tests)

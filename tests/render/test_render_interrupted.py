@@ -36,7 +36,7 @@ def kill_with_workers(process):
     """Kill a command; its workers must end too, and not render on unseen by the next command."""
     workers = workers_of(process)
     process.kill()
-    psutil.wait_procs(workers, timeout=30)
+    psutil.wait_procs(workers, timeout=300)
     assert not any(worker.is_running() for worker in workers)
     process.communicate()
 
@@ -60,7 +60,7 @@ def test_ctrl_c_ends_the_command_and_its_workers_with_one_word(three_missing, se
     workers = workers_of(process)
     assert workers
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 130
     assert "Traceback" not in errors
     assert errors.endswith("interrupted\n")

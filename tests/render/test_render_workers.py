@@ -54,7 +54,9 @@ def test_workers_that_grow_make_way_for_fresh_ones_and_render_the_same(three_mis
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough), 4])
+@pytest.mark.parametrize(
+    "workers", [2, *(pytest.param(count, marks=pytest.mark.thorough) for count in (1, 4))]
+)
 def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_renders, workers):
     done = night("night-render", unrendered, *SETTINGS, "--workers", workers)
     assert done.returncode == 0, done.stderr
@@ -194,7 +196,7 @@ def test_attempts_are_those_that_began(three_missing, tmp_path):
     assert failure.attempts == 2
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_worker_that_is_slow_to_come_back_is_waited_for(three_missing):
     process = start_render(three_missing)
     claim = claim_of(three_missing, "000004")

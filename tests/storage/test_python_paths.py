@@ -20,7 +20,6 @@ import model
 import render
 import scenegen
 import storage
-from scenegen.making.datasets import make_dataset
 
 PACKAGES = ("scenegen", "itof", "render", "model")
 # A dataset is made by `open_dataset` and `make_dataset`; its `root` is always a Path.
@@ -38,7 +37,6 @@ def public_functions():
                         yield f"{package.__name__}.{name}.{method}", function
             elif inspect.isfunction(offered):
                 yield f"{package.__name__}.{name}", offered
-    yield "scenegen.making.datasets.make_dataset", make_dataset
 
 
 def is_function(member):
@@ -142,7 +140,7 @@ def test_a_dataset_is_made_in_one_call_also_from_a_script_that_guards_nothing(tm
     trimesh.creation.box().export(tmp_path / "box.ply")
     script = tmp_path / "script.py"
     script.write_text(
-        "from scenegen.making.datasets import make_dataset\n"
+        "from scenegen import make_dataset\n"
         f"dataset = make_dataset('made', {str(tmp_path / 'my.toml')!r}, progress=False)\n"
         "import sys\nassert 'bpy' not in sys.modules\nprint(dataset.sentence())\n"
     )

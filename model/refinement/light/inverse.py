@@ -23,9 +23,9 @@ from torch import Tensor
 from itof import pixel_rays
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
+from model.device import one_thread
 from model.network.bounce_images import PLANES, BounceImages
 from model.network.channels import IMAGES_AT_ONCE, InputSpec
-from model.refinement.light.one_thread import one_thread
 from model.refinement.light.room import Room
 from model.refinement.light.three_bounces import Bounces
 

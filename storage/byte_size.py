@@ -10,3 +10,12 @@ def size(count: float) -> str:
             break
         count /= 1000
     return f"{count:.0f} {unit}" if count >= 999.5 else f"{count:.3g} {unit}"
+
+
+def binary_size(count: float) -> str:
+    """A number of bytes with its unit, like ``21.8 TiB``."""
+    for unit in ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1024
+    return "more than 1000 PiB"

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import FittedWall
+from itof.wall.wall_fit import WallFit
 from model.network.channels import InputSpec
 
 
-class WallFits:
+class FitCache:
     """Wall and phases of the images of rows; fits take more than half of the time of an upload.
 
     A row must have the same image each time. On the CPU, each image is fitted alone, because the rounding of
@@ -27,7 +27,7 @@ class WallFits:
         self._inputs = inputs
         self._of_row: dict[int, Tensor] = {}  # (3 + F or 3 + 3F) float64: plane, offsets and waves
 
-    def of(self, rows: Sequence[int], phasor: Tensor, wall: ExpectedWall) -> FittedWall:
+    def of(self, rows: Sequence[int], phasor: Tensor, wall: ExpectedWall) -> WallFit:
         """The fits of rows with the phasors (n, H, W, F)."""
         at_once = 1 if phasor.device.type == "cpu" else len(rows)
         for start in range(0, len(rows), at_once):
@@ -38,7 +38,7 @@ class WallFits:
         count = phasor.shape[-1]
         known = torch.stack([self._of_row[row] for row in rows]).to(phasor.device)
         plane, offsets, waves = (part.contiguous() for part in known.tensor_split((3, 3 + count), dim=-1))
-        return FittedWall(plane, offsets, waves.unflatten(-1, (count, 2)) if waves.numel() else None)
+        return WallFit(plane, offsets, waves.unflatten(-1, (count, 2)) if waves.numel() else None)
 
     def _fitted(self, phasor: Tensor, wall: ExpectedWall) -> Tensor:
         """(n, 3 + F or 3 + 3F) fits of (n, H, W, F) phasors, on the CPU."""
