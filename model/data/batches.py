@@ -12,9 +12,8 @@ from torch import Tensor
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
-from model.data.fit_cache import FitCache
 from model.data.rows import ARRAYS, RowBlock
-from model.data.scene_walls import SceneWalls
+from model.data.scene_walls import FitCache, SceneWalls
 from model.data.sensor_draws import SensorDraws
 from model.network.channels import IMAGES_AT_ONCE, InputSpec
 

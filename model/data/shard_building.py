@@ -12,17 +12,17 @@ from numpy.typing import DTypeLike
 
 from model.data.array_files import ArrayFile, is_array_file
 from model.data.corner import wall_view
-from model.data.manifest import MANIFEST_FILE, ShardManifest, preset_sha256, read_manifest, write_manifest
-from model.data.piece_arrays import write_piece
-from model.data.pieces import (
-    PIECE_FILES,
+from model.data.manifest import (
+    MANIFEST_FILE,
     PieceContents,
     PieceRecord,
-    has_its_arrays,
+    ShardManifest,
+    preset_sha256,
+    read_manifest,
     read_piece_record,
-    scenes_per_piece,
-    why_stale,
+    write_manifest,
 )
+from model.data.pieces import PIECE_FILES, has_its_arrays, scenes_per_piece, why_stale, write_piece
 from model.data.renders import ShardError, read_render, source_hashes
 from model.data.rows import RowLayout
 from model.settings import GroundTruth

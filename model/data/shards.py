@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from model.data.array_files import read_array
 from model.data.manifest import MANIFEST_FILE, ShardManifest
-from model.data.piece_arrays import read_rows
+from model.data.pieces import read_rows
 from model.data.renders import TRUTH_FILES, ShardError
 from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards

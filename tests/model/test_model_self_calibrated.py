@@ -17,7 +17,7 @@ from itof.wall.wall_view import WallPlaceError
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
 from model.data.corner import wall_view
-from model.data.fit_cache import FitCache
+from model.data.scene_walls import FitCache
 from model.data.shards import open_shards
 from model.network import channels as channels_module
 from model.prediction.prediction_files import predict_file
