@@ -12,7 +12,7 @@ from itof.wall.expected_wall import ExpectedWall
 from model.capture.sidecar import Lens, Sidecar
 from model.prediction.measurement_files import read_measurement
 
-PAGE = (Path(__file__).parent.parent / "docs/captures.md").read_text()
+PAGE = (Path(__file__).parent.parent / "docs/guide/captures.md").read_text()
 
 
 def blocks(language):
