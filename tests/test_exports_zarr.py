@@ -56,7 +56,7 @@ def test_arrays_and_attributes_are_those_of_the_hdf5_file(folder, exported):
 
 
 def test_zarr_and_numpy_alone_read_it_and_find_damage(folder, tmp_path):
-    page = (ROOT / "docs" / "datasets.md").read_text()
+    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
     shutil.copytree(folder, tmp_path / "paper.zarr")
     lines = re.search(r"^```python\n(import json\n\nimport zarr\n.*?)^```", page, re.M | re.S)[1]
     code = f"""{lines}
