@@ -85,7 +85,7 @@ print(sorted(root["splits"].array_keys()), root["phasors"].attrs["axes"], root.a
 def test_the_same_dataset_gives_the_same_bytes_and_sha256sum_the_same_hash(folder, seven_renders, tmp_path):
     again = export_dataset(open_dataset(seven_renders), tmp_path / "again.zarr")
     assert (again.bytes, again.sha256) == digest_of_folder(folder)
-    line = "find . -type f | LC_ALL=C sort | xargs sha256sum | sha256sum"  # of docs/files.md
+    line = "find . -type f | LC_ALL=C sort | xargs sha256sum | sha256sum"  # of docs/reference/files.md
     listed = subprocess.run(["/bin/sh", "-c", line], cwd=folder, capture_output=True, text=True, check=True)
     assert listed.stdout.split()[0] == again.sha256
     everything = b"".join(file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file())

@@ -1,4 +1,4 @@
-"""``night-render --json``: the result as one object on stdout, whose keys docs/files.md lists."""
+"""``night-render --json``: the result as one object on stdout, whose keys docs/reference/files.md lists."""
 
 import json
 import re
