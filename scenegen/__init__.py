@@ -1,11 +1,8 @@
 """Scenes, presets and dataset folders as plain data, and the code that makes them.
 
 Imports neither `itof` nor `render` nor `model`. `scenegen.files` has files that are complete or absent.
-`scenegen.making` makes scenes in Blender; only ``night-gen`` and `make_dataset`, loaded at its first use,
-need it.
+`scenegen.making` makes scenes in Blender; only ``night-gen`` needs it, and it is not imported here.
 """
-
-import lazy_loader  # type: ignore[import-untyped]
 
 from scenegen.chatter import silenced
 from scenegen.contract import ContractError
@@ -100,7 +97,6 @@ __all__ = [
     "is_recorded",
     "leaks",
     "load_preset",
-    "make_dataset",
     "open_dataset",
     "preset_from_dict",
     "read_bad_render",
@@ -133,5 +129,3 @@ __all__ = [
     "write_rendering_record",
     "write_text",
 ]
-
-__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={"making.datasets": ["make_dataset"]})
