@@ -10,7 +10,7 @@ JUDGE := judge-$(SEED)
 TEST_PROCESSES ?= 2
 PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist loadfile
 # One process, which runs two commands at a time and has one seed and one table of results.
-FUZZ := $(BIN)/pytest tests/fuzz
+FUZZ := $(BIN)/pytest tests/trust/fuzz
 
 .PHONY: setup demo judge test test-long test-thorough fuzz lint clean
 
@@ -33,7 +33,7 @@ test: lint
 
 # Kill campaigns, thousands of scenes, convergence studies.
 test-long: setup
-	$(PYTEST) -m "long and not thorough" --ignore tests/fuzz
+	$(PYTEST) -m "long and not thorough" --ignore tests/trust/fuzz
 	$(FUZZ) -m long
 
 # The same for more inputs and in more steps, which CI has no time for.

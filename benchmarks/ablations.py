@@ -24,7 +24,8 @@ from model.network.metrics import Summary, image_metrics, no_object_metrics, sum
 from model.prediction.predictor import Predictor, load
 from model.settings import TrainSettings, settings_from_dict, training_preset
 from model.training.loop import train
-from scenegen import open_dataset, read_settings
+from scenegen import open_dataset
+from storage import read_settings
 
 BATCH = 16
 Change = Callable[[NDArray[np.complex64]], NDArray[np.complexfloating]]

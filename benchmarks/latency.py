@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 import model
 from itof import phase_per_metre
+from itof.wall.wall_view import WallView
 from model.device import choose_device
 from model.network.channels import InputSpec
-from model.network.wall_view import WallView
 from model.prediction.predictor import Predictor
 from model.run_folder.run_config import RunConfig
 

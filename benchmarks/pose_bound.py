@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from seven_scenes import made_datasets
 
 from itof import TransientLayout, phase_per_metre, pixel_rays
-from model.network.wall_view import wall_view
+from model.data.corner import wall_view
 from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight

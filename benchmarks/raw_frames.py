@@ -16,8 +16,8 @@ import numpy as np
 
 from itof import DepthMap, phasor_of_return, read_image
 from itof.sensor.camera import Camera
+from itof.sensor.cameras import load_sensor
 from itof.sensor.specimen import specimen
-from model.sensors import load_sensor
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
 
 ROOM_M = 6.5  # what the mirror shows beside the object

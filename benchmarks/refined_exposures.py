@@ -19,16 +19,16 @@ import numpy as np
 from refinement_limits import HEAD, Judged, judgement, single_solids, sizes_of, table
 
 from itof import read_image
+from itof.sensor.cameras import load_sensor
 from itof.sensor.settings import SensorSettings
 from itof.sensor.specimen import specimen
 from itof.wall.empty_corner import captured_wall
-from model.bounces.room import room_of
+from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
-from model.exposures.measuring import SceneCamera
-from model.network.wall_view import wall_view
+from model.judging.exposures.measuring import SceneCamera
 from model.prediction.predictor import Predictor, load
+from model.refinement.light.room import room_of
 from model.refinement.refining import Family, refined
-from model.sensors import load_sensor
 from scenegen import MEASUREMENT_FILE, Dataset, open_dataset
 
 CORNER = 8  # exposures of the empty corner for each of the measurement

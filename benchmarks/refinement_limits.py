@@ -24,13 +24,13 @@ from out_of_range import with_noise
 from wall_error import moved_wall
 
 from itof import DepthMap, pixel_rays
-from model.bounces.room import Room, room_of
-from model.bounces.solids import KIND_OF_SHAPE
+from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.network.metrics import ImageMetrics, image_metrics, summarise
-from model.network.wall_view import wall_view
 from model.prediction.predictor import Predictor, load
+from model.refinement.light.room import Room, room_of
+from model.refinement.light.solids import KIND_OF_SHAPE
 from model.refinement.refining import Family, refined
 from scenegen import Dataset, open_dataset
 

@@ -39,10 +39,10 @@ STAGES: dict[str, tuple[tuple[str, str], ...]] = {
     "ground truth": (("render.rendering", "trace_ground_truth"),),
     "encode and write files": (
         ("render.rendering", "write_image"),
-        ("itof.exr_transient", "TransientWriter.write_rows"),
+        ("itof.exr.transient", "TransientWriter.write_rows"),
         ("render.rendering", "write_record"),
     ),
-    "wait for the disk (fsync)": (("scenegen.files.whole_files", "_sync"),),
+    "wait for the disk (fsync)": (("storage.whole_files", "_sync"),),
 }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import SubpixelWeights, TransientLayout, residual_channels
-from model.network.wall_view import wall_view
+from model.data.corner import wall_view
 from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight

@@ -27,13 +27,13 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from itof import phase_per_metre
+from itof.wall.wall_view import WallView
 from model.data.augmentation import Draws
 from model.data.batches import BatchMaker
 from model.data.rows import RowBlock
 from model.device import choose_device
 from model.network.channels import InputSpec
 from model.network.loss import NightLoss
-from model.network.wall_view import WallView
 from model.run_folder.run_config import RunConfig
 from model.settings import TrainSettings
 from model.training.processes import Processes

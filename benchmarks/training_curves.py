@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from model.prediction.figures import write_figure
+from itof.pictures.figures import write_figure
 from model.run_folder.history import read_history
 
 PAPER_SAMPLES = 695 * 2833  # epochs times samples, sec. 4.2

@@ -27,7 +27,7 @@ import numpy as np
 import OpenEXR
 
 from itof import TransientLayout, TransientReader
-from itof.exr_transient import TRANSIENT_CHANNEL
+from itof.exr.transient import TRANSIENT_CHANNEL
 from render.options import ManyLightOptions, PathOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from ablations import judged
 
+from itof.wall.wall_view import WallView
 from model.data.shards import open_shards
-from model.network.wall_view import WallView
 from model.prediction.predictor import load
 from scenegen import open_dataset
 

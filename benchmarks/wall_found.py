@@ -15,7 +15,7 @@ from itof import read_image
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.plausibility import check_measurement
 from itof.wall.wall_fit import WallFit
-from model.network.wall_view import wall_view
+from model.data.corner import wall_view
 from scenegen import Dataset, open_dataset
 
 COLUMNS = ("misfit, mrad", "mean shift, mm", "distance, mm", "tilt, °", "residual rms, mrad", "1 - coherence")

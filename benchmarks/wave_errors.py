@@ -17,11 +17,11 @@ from ablations import cells
 
 from itof import DepthMap, read_image
 from itof.sensor.binned import BinnedCamera
+from itof.sensor.cameras import load_sensor
 from itof.sensor.imperfections import without
 from itof.sensor.settings import SensorSettings
 from model.network.metrics import Summary, image_metrics, summarise
 from model.prediction.predictor import Predictor, load
-from model.sensors import load_sensor
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
 
 CASES = ((4, 1.0), (4, 0.3), (4, 0.1), (4, 0.03), (8, 1.0), (8, 0.1), (12, 1.0), (12, 0.1), (16, 1.0))

@@ -1,5 +1,5 @@
-"""What the commands of `cli` share: how they end (`endings`), their options (`options`), how
-they print results (`results`), and the question before they delete something (`confirmation`).
+"""The commands, one file for each group, and what they share.
 
-Imports click, `scenegen` and the training settings, which are plain data; nothing that computes.
+Shared: how commands end (`endings`), options (`options`), how results are printed (`results`), and the
+question before something is deleted (`confirmation`). Only this package and `cli` import click.
 """

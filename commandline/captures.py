@@ -50,9 +50,9 @@ def import_(inputs: tuple[Path, ...], sidecar: Path, out: Path, as_json: bool, *
 
     INPUT are .npz, .h5, .exr or .mat files. Frames are averaged, and pixels binned, as phasors.
     """
-    import model
+    import itof
 
-    done = model.import_capture(inputs, sidecar, out, **given)
+    done = itof.import_capture(inputs, sidecar, out, **given)
     reference = None if done.reference is None else asdict(done.reference.facts)
     result = {"file": str(out), "facts": asdict(done.capture.facts), "reference_facts": reference}
     tell(done.sentences, result, as_json)
@@ -71,11 +71,11 @@ def check(
 
     Ends with exit code 2 if a prediction would be useless. Needs no network.
     """
-    import model
+    import itof
 
     if out is not None and out.suffix.lower() != ".png":
         raise click.BadParameter(f"{out} must end in .png", param_hint="--out")
-    done = model.check_capture(inputs, sidecar, picture=out, **given)
+    done = itof.check_capture(inputs, sidecar, picture=out, **given)
     if done.refused:
         if as_json:
             tell((), done.as_data(), as_json)
@@ -105,9 +105,9 @@ def pairs(
     PAIR is a folder with two imported captures: measurement.npz of the corner, and mirror.npz by the same
     camera with a mirror on the relay wall, which shows the truth.
     """
-    import model
+    import render
 
-    made = model.write_pairs(folders, load_preset(preset), out, wall=wall)
+    made = render.write_pairs(folders, load_preset(preset), out, wall=wall)
     found = None if made.wall is None else made.wall.as_data()
     told = {"dataset": str(out), "scenes": len(made.dataset.ids()), "reference_wall": found}
     tell(made.sentences, told, as_json)

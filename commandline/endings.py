@@ -23,8 +23,7 @@ import click
 
 from commandline.sentences import sentence_of
 from commandline.streams import discard_unprinted, is_of_stdout, say
-from itof import ImageFileError
-from scenegen import NightError
+from storage import NightError
 
 _DEFECT = 70  # EX_SOFTWARE of sysexits.h
 _REPORT_IT = "This is a defect of NIGHT {}: please report it with the text above (see CONTRIBUTING.md)."
@@ -51,7 +50,7 @@ def _ending(command: str, place: str = "") -> Iterator[None]:
     except KeyboardInterrupt:
         say("interrupted")
         sys.exit(128 + signal.SIGINT)
-    except (NightError, ImageFileError, MemoryError, OSError) as error:
+    except (NightError, MemoryError, OSError) as error:
         if os.environ.get("NIGHT_TRACEBACK"):
             say(traceback.format_exc())
         if isinstance(error, OSError) and is_of_stdout(error):

@@ -1,16 +1,30 @@
-"""The commands ``night-eval judge`` and ``night-eval refine``."""
+"""The commands of ``night-eval``, but for those on captures (`commandline.captures`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from commandline.endings import NightCommand
-from commandline.options import COUNT, DEVICE, FOLDER, MASK_FROM, MASK_THRESHOLD, Counts, Sensor
+from commandline.captures import capture
+from commandline.endings import DefaultGroup
+from commandline.options import (
+    COUNT,
+    DEVICE,
+    FOLDER,
+    FORCE,
+    FOV,
+    MASK_FROM,
+    MASK_THRESHOLD,
+    RESCALE,
+    Counts,
+    Sensor,
+)
 from commandline.results import JSON, tell
+from commandline.streams import say
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, UNKNOWNS
 from scenegen import load_preset, open_dataset
 
@@ -25,9 +39,24 @@ def _split(words: str) -> Callable[[_Command], _Command]:
     return click.option("--split", type=splits, default="test", show_default=True, help=words)
 
 
-@click.command(
-    "judge", cls=NightCommand, short_help="Compare with the ground truth; the word may be left out."
-)
+@click.group(cls=DefaultGroup, default="judge")
+def night_eval() -> None:
+    """Judge the network of RUN against the ground truth of DATASET, or use it.
+
+    \b
+    night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
+    night-eval refine RUN DATASET --out DIR   find the solid that explains each measurement
+    night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
+    night-eval export RUN --out MODEL.onnx    the network as an ONNX file
+    night-eval capture import INPUT ...       measurements of the raw frames of a camera
+    night-eval compact RUN --out DIR          the run at half its size, to publish
+    """  # noqa: D301
+
+
+night_eval.add_command(capture)
+
+
+@night_eval.command("judge", short_help="Compare with the ground truth; the word may be left out.")
 @click.argument("run", type=FOLDER)
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Report folder to write.")
@@ -92,7 +121,7 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
     raise click.UsageError(f"{names}: for a camera; name one with --sensor")
 
 
-@click.command("refine", cls=NightCommand, short_help="Find the solid that explains each measurement.")
+@night_eval.command("refine", short_help="Find the solid that explains each measurement.")
 @click.argument("run", type=FOLDER)
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Folder to write; a started one is continued.")
@@ -141,3 +170,70 @@ def refine(run: Path, dataset: Path, out: Path, as_json: bool, objects: str | No
     report = model.refine_split(run, open_dataset(dataset), out, objects=preset, **options)
     look = f"depth maps and solids in {out / 'scenes'}"
     tell([report.table, report.sentence, look], out.resolve() / "refined.json", as_json)
+
+
+@night_eval.command(short_help="Depth maps of your own measurements.")
+@click.argument("run", type=FOLDER)
+@click.argument("measurement", metavar="INPUT", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Folder to write; an earlier prediction is replaced.")
+@FOV
+@RESCALE
+@FORCE
+@DEVICE
+@JSON
+def predict(
+    run: Path,
+    measurement: Path,
+    out: Path,
+    horizontal_fov_deg: float | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Predict depth maps from the measurements in INPUT by the network of RUN.
+
+    INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
+    `frequencies_hz` (F) and, if there is one, `reference` (H, W, F): a capture of the empty corner. Each
+    image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY point cloud.
+    """
+    import model
+    from itof.capture.record import imported_fov_deg
+
+    record = out.resolve() / "prediction.json"
+    fov_deg = horizontal_fov_deg or imported_fov_deg(measurement)
+    done = model.predict_file(run, measurement, out, horizontal_fov_deg=fov_deg, **options)
+    for warning in done.check.warnings:
+        say(f"warning: {warning}")
+    where = f"depth maps, pictures and point clouds in {out}"
+    tell([*done.sentences, where], record, as_json)
+
+
+@night_eval.command(short_help="The network as an ONNX file.")
+@click.argument("run", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="File to write; it ends in .onnx.")
+@JSON
+def export(run: Path, out: Path, as_json: bool) -> None:
+    """Write the network of RUN as an ONNX file, checked against PyTorch.
+
+    Input `channels` (N, C, H, W). The output is `components` (N, 2, H, W), or depth, or mask and depth, by
+    other names (docs/guide/captures.md); the run's settings are in the metadata.
+    """
+    import model
+
+    check = model.export_onnx(run, out)
+    tell([check.sentence(out)], {"file": str(out), **asdict(check)}, as_json)
+
+
+@night_eval.command("compact", short_help="The run at half its size, to publish.")
+@click.argument("run", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
+@JSON
+def compact_run(run: Path, out: Path, as_json: bool) -> None:
+    """Write RUN with weights of 16 bits and without its checkpoint, to be published or kept.
+
+    Predictions, evaluations and `night-train --from` take it as any run; it cannot be resumed.
+    """
+    import model
+
+    made = model.compact(run, out)
+    size = sum(file.stat().st_size for file in made.iterdir())
+    tell([f"{out}: {size / 1e6:.1f} MB"], {"run": str(out), "bytes": size}, as_json)

@@ -7,7 +7,6 @@ import math
 import os
 import re
 from collections.abc import Callable
-from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
 from types import NoneType
@@ -15,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, ge
 
 import click
 
+from itof.sensor.cameras import load_sensor
 from itof.sensor.settings import SensorSettings
-from model.sensors import load_sensor
 from model.settings import training_fields
-from scenegen import Dataset, Preset, open_dataset, preset_from_dict, read_settings
+from scenegen import Dataset
 from scenegen.preset import MOST_BOUNCES
 
 if TYPE_CHECKING:
@@ -167,34 +166,11 @@ def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
     return [dataset.entry(scene_id).id for scene_id in dict.fromkeys(only)] or dataset.ids()
 
 
-def overridden_preset(
-    out: Path, preset: str | None, count: int | None, seed: int | None
-) -> tuple[Preset, Path]:
-    """The preset with what the command line gives instead of its own count and seed; its own folder.
-
-    Where no preset is named, it is that of the dataset in `out`, or ``paper`` if there is none.
-    """
-    if preset is None and (out / "dataset.json").exists():
-        data: dict[str, Any] = asdict(open_dataset(out).preset)
-        origin = str(out / "dataset.json")
-    else:
-        data, origin = read_settings("presets", "paper" if preset is None else preset)
-    changes = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
-    table = data.setdefault("dataset", {})
-    if changes and isinstance(table, dict):
-        table.update(changes)
-    return preset_from_dict(data, origin), Path(origin).parent
-
-
 TRAINING = options(*(_training_option(name, field) for name, field in training_fields().items()))
 DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
 DEVICES = click.Choice(["auto", "cpu", "cuda"])
 DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)
 ONLY = click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
-PRESET = click.option(
-    "--preset",
-    help="Name in data/presets, or a .toml file.  [default: that of the dataset in OUT, or paper]",
-)
 COUNT = click.IntRange(1, 1_000_000_000)  # of what is computed one by one: more takes for ever
 RENDER_SETTINGS = options(
     click.option("--method", help="many-light (the default), or path: slower, for any scene at all."),

@@ -11,7 +11,8 @@ import click
 from commandline.endings import NightCommand
 from commandline.options import FOLDER, TRAINING
 from commandline.results import JSON, tell
-from scenegen import PresetError, open_dataset
+from scenegen import open_dataset
+from storage import PresetError
 
 if TYPE_CHECKING:
     from model import TrainSettings

@@ -1,7 +1,5 @@
-from .capture.checking import check_capture
-from .capture.importing import import_capture
-from .exposures.sweep import judge_exposures
-from .mirror.pairs import write_pairs
+from .judging.evaluation import evaluate
+from .judging.exposures.sweep import judge_exposures
 from .network.channels import InputSpec
 from .network.readout import Readout
 from .network.unet import UNet
@@ -9,8 +7,7 @@ from .prediction.measurement_check import check_file
 from .prediction.onnx_export import export_onnx
 from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
-from .report.evaluation import evaluate
-from .report.refinement import refine_split
+from .refinement.judged_refinement import refine_split
 from .run_folder.compact import compact
 from .run_folder.run_config import fine_tuning_settings, run_settings
 from .run_folder.shipped import shipped_runs
@@ -23,13 +20,11 @@ __all__ = [
     "Readout",
     "TrainSettings",
     "UNet",
-    "check_capture",
     "check_file",
     "compact",
     "evaluate",
     "export_onnx",
     "fine_tuning_settings",
-    "import_capture",
     "judge_exposures",
     "load",
     "predict_file",
@@ -39,5 +34,4 @@ __all__ = [
     "shipped_runs",
     "train",
     "training_preset",
-    "write_pairs",
 ]

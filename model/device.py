@@ -1,4 +1,4 @@
-"""The computing device, and the number type of the network's convolutions."""
+"""The computing device and its threads, and the number type of the network's convolutions."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import torch
+from threadpoolctl import threadpool_limits
 
 from model.settings import DeviceName, Precision
-from scenegen import NightError
+from storage import NightError
 
 
 class DeviceError(NightError):
@@ -57,3 +58,15 @@ def number_type(precision: Precision, device: torch.device) -> torch.dtype:
             fast = torch.cuda.is_bf16_supported(including_emulation=False)
         precision = "bfloat16" if fast else "float32"
     return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[precision]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch and numpy use one thread: faster for small arrays, and sums depend on their number."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        torch.set_num_threads(before)

@@ -11,10 +11,11 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
+from itof.sensor.cameras import load_sensor
 from itof.sensor.settings import SensorSettings
-from model.sensors import load_sensor
-from scenegen import NightError, PathLike, PresetError, inside, read_settings, shipped_file
-from scenegen.contract import STRICT, Positive, WholeCount, checked_data
+from storage import NightError, PathLike, PresetError, inside, read_settings, shipped_file
+from storage.contract import STRICT, checked_data
+from storage.quantities import Positive, WholeCount
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
 AmplitudeDivisor = Literal["mean", "maximum"]
@@ -60,8 +61,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 class TrainSettings:
     """Everything that decides a training run.
 
-    docs/science/paper.md says which defaults are the paper's; the preset ``paper`` has those of its text,
-    and those of the released code where the text gives none.
+    docs/science/paper.md says which defaults are the paper's; the preset ``paper`` has all of its values.
     Options of ``night-train`` are made of these fields: the text below a field is its description there.
     """
 

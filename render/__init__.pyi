@@ -2,6 +2,7 @@ from .backend import select_variant
 from .farm.run import RunOptions, render_dataset
 from .farm.status import read_status
 from .mirror_panels import write_mirror_panels
+from .pairs.pairs import write_pairs
 from .products.conversion import convert_to_itof, open_transient
 from .products.dataset_export import export_dataset
 from .products.movie import write_movie
@@ -27,6 +28,7 @@ __all__ = [
     "verify",
     "write_mirror_panels",
     "write_movie",
+    "write_pairs",
     "write_preview",
     "write_transient_plot",
 ]

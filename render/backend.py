@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 from typing import Literal
 
-from scenegen import NightError, silenced
+from processes import silenced
+from storage import NightError
 
 Device = Literal["auto", "cpu", "cuda"]
 

@@ -19,9 +19,10 @@ from render.products.conversion import ExportError, exported_file
 from render.products.panels_figure import panels_figure
 from render.settings import RenderError
 from render.transport.scene_loading import scene_from_data
-from scenegen import Dataset, PathLike, Scene, camera_axes, wall_normal
+from scenegen import Dataset, Scene, camera_axes, wall_normal
 from scenegen.mitsuba_description import Description, mirrored_description, seen_description
 from scenegen.scene_folder import read_scene_folder, scene_of
+from storage import PathLike
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -46,15 +46,12 @@ from scenegen import (
     forget_bad_render,
     read_record,
     remove_failure,
-    remove_leftovers,
-    sha256_of,
-    whole_file,
-    whole_files,
     write_record,
 )
 from scenegen.mitsuba_description import mirrored_description, seen_description
 from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
+from storage import remove_leftovers, sha256_of, whole_file, whole_files
 
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
 

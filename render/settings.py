@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from itof import MOST_WRITTEN_BYTES, TransientLayout
-from itof.machine_memory import machine_bytes
 from render.backend import Device
 from render.options import (
     FINEST_EDGES,
@@ -18,16 +17,10 @@ from render.options import (
     recipe_options,
     recorded_options,
 )
-from scenegen import (
-    IMAGE_FILES,
-    RENDERING_FILE,
-    TRANSIENT_FILES,
-    Dataset,
-    NightError,
-    RenderingRecord,
-    read_recipe,
-)
+from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, RenderingRecord, read_recipe
 from scenegen.preset import MOST_BOUNCES
+from storage import NightError
+from storage.machine_memory import machine_bytes
 
 Product = Literal["transient", "itof", "both"]
 EDGES_KEY = "edge_divisions"  # of a recipe

@@ -19,16 +19,17 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from scenegen.contract import STRICT, ClassName, ContractError, checked
-from scenegen.files.inside import inside
-from scenegen.files.path_like import PathLike
-from scenegen.files.whole_files import write_text
-from scenegen.night_error import NightError
 from scenegen.preset import Preset
 from scenegen.render_folder import Sha256
 from scenegen.rendering_record import RenderingRecord, read_rendering_record
 from scenegen.scene import Scene, Split
 from scenegen.scene_folder import SCENE_FILE, digest_of, scene_of
+from storage.contract import STRICT, ContractError, checked
+from storage.inner_paths import inside
+from storage.night_error import NightError
+from storage.path_like import PathLike
+from storage.quantities import ClassName
+from storage.whole_writing import write_text
 
 DATASET_SCHEMAS = (1, 2, 3, 4)  # readable; the newest is written
 _DIGESTS_SINCE = 4

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from math import cos, radians, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.contract import Vector
-from scenegen.scene import Camera, Wall
+from scenegen.preset import CameraSettings
+from scenegen.scene import Wall
+from storage.quantities import Vector
 
 
 def rotation_matrix(rotation_deg: Vector) -> NDArray[np.float64]:
@@ -21,7 +23,7 @@ def rotation_matrix(rotation_deg: Vector) -> NDArray[np.float64]:
     return matrix
 
 
-def camera_axes(camera: Camera) -> NDArray[np.float64]:
+def camera_axes(camera: CameraSettings) -> NDArray[np.float64]:
     """(3, 3) unit vectors as rows: the camera's right, down and forward in world space."""
     right, up, backward = rotation_matrix(camera.rotation_deg).T  # a Blender camera looks along its own -z
     return np.stack([right, -up, -backward])
@@ -31,6 +33,18 @@ def wall_normal(wall: Wall) -> NDArray[np.float64]:
     """(3,) unit normal of a wall's front in world space: +z before the rotation."""
     normal: NDArray[np.float64] = rotation_matrix(wall.rotation_deg)[:, 2]
     return normal
+
+
+def wall_geometry(camera: CameraSettings, wall: Wall) -> dict[str, Any]:
+    """Camera and plane of a wall in world axes, as the fields of `itof.wall.wall_view.WallView`."""
+    right, down, forward = (_vector(axis) for axis in camera_axes(camera))
+    return {
+        "horizontal_fov_deg": camera.horizontal_fov_deg,
+        "camera_axes": (right, down, forward),
+        "camera_location_m": camera.location_m,
+        "wall_point_m": wall.location_m,
+        "wall_normal": _vector(wall_normal(wall)),
+    }
 
 
 def blender_matrix(location_m: Vector, rotation_deg: Vector) -> NDArray[np.float64]:
@@ -50,3 +64,8 @@ def blender_matrix(location_m: Vector, rotation_deg: Vector) -> NDArray[np.float
         [0.0, 0.0, 0.0, 1.0],
     ]
     return np.array(matrix, np.float32).astype(np.float64)
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    x, y, z = values.tolist()
+    return (x, y, z)

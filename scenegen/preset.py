@@ -13,11 +13,14 @@ from pydantic import AfterValidator, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from scipy.constants import speed_of_light
 
-from scenegen.contract import (
+from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
+from storage.contract import STRICT, checked_data
+from storage.path_like import PathLike
+from storage.preset_files import PresetError, read_settings
+from storage.quantities import (
     FARTHEST_M,
     MAX_FOV_DEG,
     MIN_FOV_DEG,
-    STRICT,
     Degrees,
     Extent,
     FieldOfView,
@@ -28,11 +31,7 @@ from scenegen.contract import (
     Reflectance,
     Rotation,
     Roughness,
-    checked_data,
 )
-from scenegen.files.path_like import PathLike
-from scenegen.preset_files import PresetError, read_settings
-from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
 Material = Literal["rough", "diffuse"]
 MOST_BOUNCES = 64  # surfaces that light may meet on its way

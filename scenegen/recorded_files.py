@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from scenegen.dataset import Dataset
-from scenegen.files.inside import inside
-from scenegen.night_error import NightError
 from scenegen.render_folder import RECORD_FILE, difference, read_record
+from storage.inner_paths import inside
+from storage.night_error import NightError
 
 RENDER_AGAIN: Final = "delete it and render it again"  # what to do with a recorded file that cannot be read
 

@@ -12,10 +12,11 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from scenegen.contract import STRICT, WholeCount, checked
-from scenegen.files.path_like import PathLike
-from scenegen.files.plain_file import read_plain
-from scenegen.files.whole_files import write_text
+from storage.contract import STRICT, checked
+from storage.path_like import PathLike
+from storage.plain_file import read_plain
+from storage.quantities import WholeCount
+from storage.whole_writing import write_text
 
 RENDERING_FILE = "rendering.json"
 _MOST_BYTES = 2**24

@@ -7,19 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from scenegen.contract import (
-    STRICT,
-    ClassName,
-    Extent,
-    FieldOfView,
-    Positive,
-    Reflectance,
-    Roughness,
-    Vector,
-    checked,
-)
 from scenegen.preset import MOST_BOUNCES, CameraSettings, Material
 from scenegen.shapes import Shape
+from storage.contract import STRICT, checked
+from storage.quantities import ClassName, Extent, FieldOfView, Positive, Reflectance, Roughness, Vector
 
 COMPOSITE = "composite"
 Split = Literal["train", "validation", "test"]

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from itof import amplitude, residual_channels
 from itof.wall.expected_wall import ExpectedWall
+from itof.wall.wall_view import WallView
 from model.data.order import rows_by_piece
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.network.channels import IMAGES_AT_ONCE, ChannelError, InputSpec
-from model.network.wall_view import WallView
 from model.settings import AmplitudeDivisor, Channels, Reference
 
 

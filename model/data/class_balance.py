@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
-from scenegen import NightError
+from storage import NightError
 
 
 class BalanceError(NightError):

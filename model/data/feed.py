@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from itof.machine_memory import machine_bytes
 from model.data.order import shuffled_windows, windows_in_order, without_first
 from model.data.rows import RowBlock
 from model.data.shards import Shards
+from storage.machine_memory import machine_bytes
 
 MEMORY_PART = 0.25  # of the memory of machine or GPU, for the rows of one split
 

@@ -11,10 +11,12 @@ from pydantic.dataclasses import dataclass
 
 from model.data.pieces import PieceRecord
 from model.data.rows import RowLayout
-from scenegen import SceneEntry, write_text
-from scenegen.contract import STRICT, FieldOfView, WholeCount
-from scenegen.files.plain_file import read_plain
+from scenegen import SceneEntry
 from scenegen.preset import Preset
+from storage import write_text
+from storage.contract import STRICT
+from storage.plain_file import read_plain
+from storage.quantities import FieldOfView, WholeCount
 
 SHARD_SCHEMA: Final = 2
 MANIFEST_FILE = "manifest.json"

@@ -10,7 +10,7 @@ import numpy as np
 from model.data.class_balance import BalanceError
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
-from scenegen.contract import FARTHEST_M
+from storage.quantities import FARTHEST_M
 
 LEAST_SPREAD_M: Final = 0.01  # for scenes whose objects are all equally far
 

@@ -17,7 +17,8 @@ from model.data.pieces import RECORD_FILE, PieceContents, PieceRecord, read_piec
 from model.data.renders import RenderedScene, ShardError, read_render
 from model.data.rows import RowBlock
 from model.settings import GroundTruth
-from scenegen import Dataset, whole_folder
+from scenegen import Dataset
+from storage import whole_folder
 
 
 def write_piece(

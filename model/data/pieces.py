@@ -23,9 +23,10 @@ from pydantic.dataclasses import dataclass
 
 from model.data.array_files import is_array_file
 from model.data.rows import ARRAYS, RowLayout
-from scenegen import FileHashes
-from scenegen.contract import STRICT, WholeCount
-from scenegen.files.plain_file import read_plain
+from storage import FileHashes
+from storage.contract import STRICT
+from storage.plain_file import read_plain
+from storage.quantities import WholeCount
 
 PIECE_BYTES = 128 * 2**20  # upper limit, unless one scene takes more
 RECORD_FILE = "piece.json"

@@ -16,14 +16,13 @@ from scenegen import (
     MIRRORED_TRANSIENT_FILE,
     RENDER_AGAIN,
     Dataset,
-    FileHashes,
-    NightError,
     RenderRecord,
     read_recipe,
     read_record,
     recorded_file,
 )
 from scenegen.recorded_files import changed_file
+from storage import FileHashes, NightError
 
 TRUTH_FILES: dict[GroundTruth, str] = {"geometry": GROUND_TRUTH_FILE, "simulated": MIRRORED_TRANSIENT_FILE}
 

@@ -14,8 +14,8 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from itof.wall.expected_wall import ExpectedWall
+from itof.wall.wall_view import WallView
 from model.data.shards import Shards
-from model.network.wall_view import WallView
 
 # Fields of view at which the direct return is computed, for the interpolation: as many of these as it needs
 # for an error of 1e-9; complex64 rounds to 6e-8. Views that differ by 10 degrees need 16.

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from itof.sensor.binned import BinnedCamera
+from itof.sensor.demodulation import wiggling
 from itof.sensor.settings import SensorSettings
 from itof.sensor.specimen import specimen
 from itof.weighted_reference import quotient
+from scenegen import Dataset
 
+_SAME_DEG = 1e-6
 _STREAM = 3  # of a seed's random numbers, apart from those of the other augmentations
 
 
@@ -73,3 +76,28 @@ class _Drawn:
         """Complex Gaussian noise with variance 1 in each component, on the device of `like`."""
         generator = torch.Generator(like.device).manual_seed(self.noise_seed)
         return torch.view_as_complex(torch.randn(*like.shape, 2, generator=generator, device=like.device))
+
+
+def view_problem(
+    settings: SensorSettings, dataset: Dataset, width: int, height: int, frequencies_hz: Sequence[float]
+) -> str | None:
+    """Why this camera cannot measure the images (W x H) of a dataset at these frequencies, Hz, as a sentence.
+
+    None if it can.
+    """
+    if dataset.preset.camera_spread.horizontal_fov_deg:
+        return f"the scenes of {dataset.root} have different fields of view, and a camera has one"
+    fov_deg = dataset.preset.camera.horizontal_fov_deg
+    if abs(fov_deg - settings.horizontal_fov_deg) > _SAME_DEG:
+        return (
+            f"the camera sees {settings.horizontal_fov_deg:g} degrees and the scenes of {dataset.root} are "
+            f"rendered for {fov_deg:g}: set horizontal_fov_deg of the camera to that"
+        )
+    try:
+        settings.binning(width, height)
+        if settings.wiggling_left < 1:
+            for frequency_hz in frequencies_hz:
+                wiggling(settings, frequency_hz)
+    except ValueError as error:
+        return f"the camera cannot measure {dataset.root}: {error}"
+    return None

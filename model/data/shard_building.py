@@ -12,6 +12,7 @@ import numpy as np
 
 from itof import split_components
 from model.data.array_files import ArrayFile, is_array_file
+from model.data.corner import wall_view
 from model.data.manifest import MANIFEST_FILE, ShardManifest, preset_sha256, read_manifest, write_manifest
 from model.data.piece_arrays import write_piece
 from model.data.pieces import (
@@ -25,12 +26,12 @@ from model.data.pieces import (
 )
 from model.data.renders import ShardError, read_render, source_hashes
 from model.data.rows import ARRAYS, RowLayout
-from model.network.wall_view import wall_view
 from model.settings import GroundTruth
-from scenegen import Dataset, FileHashes, inside, whole_file
-from scenegen.files.own_files import other_files
-from scenegen.files.partials import remove_leftovers
-from scenegen.progress import showing_progress
+from processes.progress import showing_progress
+from scenegen import Dataset
+from storage import FileHashes, inside, whole_file
+from storage.own_files import other_files
+from storage.partials import remove_leftovers
 
 REFERENCE_FILE = "reference.npy"
 _log = logging.getLogger(__name__)

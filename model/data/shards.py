@@ -24,7 +24,8 @@ from model.data.renders import TRUTH_FILES, ShardError
 from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
 from model.settings import GroundTruth
-from scenegen import MEASUREMENT_FILE, Dataset, FileHashes, RenderRecord, Split, read_failure, read_record
+from scenegen import MEASUREMENT_FILE, Dataset, RenderRecord, Split, read_failure, read_record
+from storage import FileHashes
 
 _log = logging.getLogger(__name__)
 

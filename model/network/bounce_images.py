@@ -20,8 +20,8 @@ class BounceImages(nn.Module):
 
     Each part of the wall shows light of the whole object. A convolution sees a small part of the wall, so a
     U-Net has to learn from scenes how the light of all parts belongs together. In a known corner, the three
-    bounces are known: a regularised linear inverse of them (`model.bounces.inverse`) makes images of the
-    mirrored scene from the input channels. The network sees them beside its input channels.
+    bounces are known: a regularised linear inverse of them (`model.refinement.light.inverse`) makes
+    images of the mirrored scene from the input channels. The network sees them beside its input channels.
 
     Attributes
     ----------

@@ -14,8 +14,9 @@ from itof import SubpixelWeights, network_channels, residual_channels, weighted_
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import FittedWall, fitted_wall
 from model.settings import Channels, Reference
-from scenegen import NightError
-from scenegen.contract import STRICT, Positive
+from storage import NightError
+from storage.contract import STRICT
+from storage.quantities import Positive
 
 # Images whose references are found at once, which takes many times the memory of their phasors.
 IMAGES_AT_ONCE: Final = 16

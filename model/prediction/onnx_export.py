@@ -22,7 +22,7 @@ from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
 from model.settings import TrainSettings
-from scenegen import NightError, PathLike, whole_file
+from storage import NightError, PathLike, whole_file
 
 INPUT: Final = "channels"
 # Names of the output, by settings.target and settings.uncertainty.

@@ -11,23 +11,23 @@ from typing import Any, Final
 import numpy as np
 
 from itof import DepthMap
+from itof.files.measurement_files import Measurement, MeasurementError
+from itof.pictures.figures import prediction_figure, write_figure
+from itof.pictures.pointclouds import object_points, write_point_cloud
+from itof.pictures.wall_figure import wall_figure
+from itof.wall.check_result import MeasurementCheck, WallFound
 from itof.wall.empty_corner import FoundWall
 from itof.wall.wall_fit import WallFit
 from itof.wall.wall_search import locate_wall
-from model.prediction.check_result import MeasurementCheck, WallFound
-from model.prediction.figures import prediction_figure, write_figure
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
-from model.prediction.measurement_files import Measurement, MeasurementError
-from model.prediction.pointclouds import object_points, write_point_cloud
 from model.prediction.predictor import BATCH, InputError, Predictor, load
-from model.prediction.wall_figure import wall_figure
 from model.run_folder.shipped import run_folder
 from model.settings import DeviceName
-from scenegen import NightError, PathLike, whole_folder, write_text
-from scenegen.contract import fov_problem
-from scenegen.files.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files
-from scenegen.files.plain_file import read_plain
-from scenegen.progress import showing_progress
+from processes.progress import showing_progress
+from storage import NightError, PathLike, whole_folder, write_text
+from storage.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files
+from storage.plain_file import read_plain
+from storage.quantities import fov_problem
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view.
 PREDICTION_SCHEMA: Final = 5

@@ -15,19 +15,18 @@ from torch import Tensor
 from itof import DepthMap, amplitude, join_components
 from itof.wall.empty_corner import FoundWall, captured_wall, find_wall
 from itof.wall.expected_wall import ExpectedWall
+from itof.wall.wall_view import WallPlaceError, WallView
 from model.device import choose_device, plain_memory_errors
-from model.network.channels import ChannelError
 from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet, average_with_flip
-from model.network.wall_view import WallView
 from model.prediction.expected_error import expected_mae_m
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
 from model.settings import DeviceName
-from scenegen import NightError, PathLike
-from scenegen.contract import MAX_FOV_DEG, MIN_FOV_DEG
+from storage import NightError, PathLike
+from storage.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 
 NEEDS_CAPTURE = "was trained for a capture of the empty corner: give one as reference"
 BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB
@@ -68,7 +67,7 @@ class Predictor:
         """
         try:
             return self.config.geometry.expected_wall(self.reference, self.config.inputs.frequencies_hz)
-        except ChannelError as error:
+        except WallPlaceError as error:
             raise RunError(f"the geometry of the run cannot be: {error}") from None
 
     def at(self, corner: WallView) -> Predictor:

@@ -16,10 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from model.bounces.rough_wall import ROUGHNESS
-from model.bounces.solids import Solid
-from model.bounces.three_bounces import Bounces
 from model.refinement.hidden_light import HiddenLight
+from model.refinement.light.rough_wall import ROUGHNESS
+from model.refinement.light.solids import Solid
+from model.refinement.light.three_bounces import Bounces
 
 _STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 5e-3, 0.0125, 1e-2, 2e-2  # of the differences
 _FARTHEST_M, _FARTHEST_RAD, _FARTHEST_SIZE, _FARTHEST_ROUGHNESS = 0.15, 0.5, 0.2, 0.3  # of one step

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
-from model.bounces.one_thread import one_thread
-from model.bounces.room import Room
-from model.bounces.solids import Solid
-from model.bounces.three_bounces import Bounces
+from model.device import one_thread
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Fit, Guess, fitted
+from model.refinement.light.room import Room
+from model.refinement.light.solids import Solid
+from model.refinement.light.three_bounces import Bounces
 from model.refinement.search import Sketch, starts
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT
 

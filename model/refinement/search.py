@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from itof import DepthMap
-from model.bounces.room import Room
-from model.bounces.solids import Solid
+from model.refinement.light.room import Room
+from model.refinement.light.solids import Solid
 
 _INWARDS_M = 0.12  # about, from the middle of a visible surface to that of its solid
 _ALIGNMENTS = 2  # of the middles of both visible surfaces

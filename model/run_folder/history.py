@@ -15,7 +15,7 @@ from typing import Final
 
 from model.run_folder.checksums import read_at_most
 from model.run_folder.run_config import RunError
-from scenegen import whole_file
+from storage import whole_file
 
 HISTORY_FILE: Final = "history.csv"
 CHECK: Final = "crc32"

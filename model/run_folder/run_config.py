@@ -15,17 +15,18 @@ import torch
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from itof.wall.wall_view import WallView
 from model.network.bounce_images import BounceImages
 from model.network.channels import InputSpec
 from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet
-from model.network.wall_view import WallView
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings import MAY_CHANGE_ON_RESUME, STARTING_SETTINGS, TrainSettings
-from scenegen import NightError, PathLike, whole_file
-from scenegen.contract import STRICT, FieldOfView, Positive, checked
+from storage import NightError, PathLike, whole_file
+from storage.contract import STRICT, checked
+from storage.quantities import FieldOfView, Positive
 
 RUN_SCHEMA: Final = 3
 LABELLED_SINCE: Final = 3  # schema version from which on files contain their checksum
@@ -169,8 +170,8 @@ class RunConfig:
     def network(self, generator: torch.Generator | None = None) -> UNet:
         """A network of this run's architecture with initial weights.
 
-        The images of the three bounces are black: the corner decides them (`model.bounces.inverse`), and they
-        are saved with the weights.
+        The images of the three bounces are black: the corner decides them
+        (`model.refinement.light.inverse`), and they are saved with the weights.
         """
         size = self.image_width, self.image_height
         images = BounceImages(*self.inputs.residual_channels, *size) if self.settings.bounce_images else None

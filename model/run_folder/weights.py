@@ -18,7 +18,7 @@ from torch import Tensor
 from model.network.unet import UNet, least_weights
 from model.run_folder.checksums import label_text, labelled, read_at_most, read_label
 from model.run_folder.run_config import LABELLED_SINCE, RunConfig, RunError
-from scenegen import whole_file
+from storage import whole_file
 
 WEIGHTS_FILE: Final = "best.safetensors"
 _METADATA: Final = "night"

@@ -2,5 +2,5 @@
 
 Also fine-tuning, the optimiser, the checkpoint file, several processes, TensorBoard, interruption by signals,
 and the checks that refuse a training. May import `model.data`, `model.network`, the run folder, the device
-and the settings; neither `model.prediction` nor `model.report`.
+and the settings; neither `model.prediction` nor `model.judging`.
 """

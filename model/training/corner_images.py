@@ -7,10 +7,10 @@ from typing import Final
 
 from torch import Tensor
 
-from model.bounces.inverse import bounce_inverse
-from model.bounces.room import room_of
 from model.data.object_depth import object_depth_m
 from model.data.shards import Shards
+from model.refinement.light.inverse import bounce_inverse
+from model.refinement.light.room import room_of
 from model.run_folder.run_config import RunConfig
 from model.training.rendered_channels import rendered_channels
 from scenegen import Dataset

@@ -24,7 +24,7 @@ from model.training.optimisation import learning_rate
 from model.training.refusals import TrainingError
 from model.training.state import TrainingState, epoch_seed
 from model.training.uncertainty_fit import UncertaintyFit
-from scenegen.progress import Progress
+from processes.progress import Progress
 
 _log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from model.data.batches import Batch
 from model.network.readout import Readout
 from model.training.optimisation import Optimisation
 from model.training.refusals import naming_disk
-from scenegen import inside
+from storage import inside
 
 LOG_FOLDER: Final = "log"
 

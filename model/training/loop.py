@@ -11,12 +11,13 @@ from typing import Final, Literal
 
 import torch
 
+from itof.wall.wall_view import WallPlaceError
 from model.data.channel_scaling import fit_input_spec, largest_shift_m
 from model.data.class_balance import BalanceError, background_per_object
+from model.data.corner import many_corners_problem, wall_view
 from model.data.object_depth import object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
-from model.network.wall_view import many_corners_problem, wall_view
 from model.run_folder.history import HISTORY_FILE, EpochRecord
 from model.run_folder.run_config import (
     CONFIG_FILE,
@@ -51,8 +52,9 @@ from model.training.refusals import (
 )
 from model.training.revival import revived
 from model.training.state import TrainingState, rows_of
-from scenegen import Dataset, PathLike, remove_leftovers
-from scenegen.progress import showing_progress
+from processes.progress import showing_progress
+from scenegen import Dataset
+from storage import PathLike, remove_leftovers
 
 _log = logging.getLogger(__name__)
 _AGAIN: Final = "start again"
@@ -213,7 +215,7 @@ def _configure(
         depth_m = before.object_depth_m if before else start.config.object_depth_m if start else None
         if settings.predicts_probability and depth_m is None:
             depth_m = object_depth_m(shards, rows)
-    except (BalanceError, ChannelError) as error:
+    except (BalanceError, ChannelError, WallPlaceError) as error:
         raise TrainingError(f"{dataset.root}: {error}") from None
     problem = many_corners_problem(dataset, inputs)
     if problem:

@@ -15,7 +15,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from model.device import DeviceError, choose_device
 from model.settings import DeviceName
-from scenegen import NightError
+from storage import NightError
 
 # Gloo's threads release the tensors of the last sum a little after it is done, and need the interpreter for
 # that. An interpreter that ends before that aborts the process, so it waits.

@@ -8,15 +8,16 @@ from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 from typing import Final
 
+from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
-from model.sensors import view_problem
 from model.settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
-from scenegen import Dataset, NightError, is_partial
+from scenegen import Dataset
+from storage import NightError, is_partial
 
 RESUME: Final = "go on with night-train --resume"
 GO_ON: Final = f"{RESUME}; the run keeps its last checkpoint"

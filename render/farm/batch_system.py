@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from render.farm.dask_settings import NO_DASHBOARD, ClusterError, own_certificates
 from render.farm.submissions import Submissions, watched_cluster, watched_job
-from scenegen import PathLike
+from storage import PathLike
 
 if TYPE_CHECKING:
     from dask_jobqueue.core import JobQueueCluster

@@ -14,7 +14,7 @@ from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.local_workers import local_cluster
 from render.farm.scheduler_address import CONNECT_S, check_address, check_answer
 from render.farm.submissions import Submissions
-from scenegen import PathLike
+from storage import PathLike
 
 if TYPE_CHECKING:
     from distributed import Client

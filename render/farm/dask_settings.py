@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from scenegen import NightError
-from scenegen.files.private_folder import private_folder
+from storage import NightError
+from storage.private_folder import private_folder
 
 if TYPE_CHECKING:
     from distributed import Security

@@ -24,7 +24,8 @@ from render.farm.claims import claimed
 from render.farm.inventory import Inventory
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from scenegen import DatasetError, NightError, open_dataset, read_failure
+from scenegen import DatasetError, open_dataset, read_failure
+from storage import NightError
 
 MAX_ATTEMPTS = 2
 Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from itof import TransientLayout
-from render.byte_size import size
 from render.settings import RenderSettings
 from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record
+from storage.byte_size import size
 
 _TRUTH_CHANNELS = 4  # of the ground truth: depth, mask, Re, Im
 _COMPONENTS = 2  # Re and Im

@@ -8,6 +8,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from processes.progress import showing_progress
 from render.backend import select_variant
 from render.edited_scenes import refuse_edited, refuse_measured, without_effect
 from render.farm.claims import joined_run, refuse_other_run
@@ -21,8 +22,8 @@ from render.farm.run_log import LOG_FILE, log_file, log_outcome, logged
 from render.farm.run_result import RunResult
 from render.farm.submissions import Submissions
 from render.settings import RenderError, RenderSettings
-from scenegen import Dataset, NightError, PathLike, inside, read_record
-from scenegen.progress import showing_progress
+from scenegen import Dataset, read_record
+from storage import NightError, PathLike, inside
 
 log = logging.getLogger(__name__)
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from itof import DEPTH_CHANNEL, MASK_CHANNEL, unambiguous_range_m
-from render.byte_size import size
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
-from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, NightError, Preset
+from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
+from storage import NightError
+from storage.byte_size import size
 
 CARD_FILE = "README.md"
 CONTACT_SHEET, DISTRIBUTIONS = "preview/contact_sheet.png", "preview/distributions.png"

@@ -29,11 +29,10 @@ from scenegen import (
     RECORD_FILE,
     TRANSIENT_FILE,
     Dataset,
-    OutsideError,
     RenderRecord,
-    inside,
 )
 from scenegen.render_folder import difference
+from storage import OutsideError, inside
 
 # Phasors of bins may differ from exact ones by this share of the hidden part, because the two sum over
 # different nodes in the pixels, and bins over merged arrivals. Twice the 1 % of docs/science/renderer.md.

@@ -20,7 +20,6 @@ from scenegen import (
     MEASUREMENT_FILE,
     RENDER_AGAIN,
     Dataset,
-    NightError,
     RenderRecord,
     Scene,
     read_bad_render,
@@ -30,6 +29,7 @@ from scenegen import (
     recorded_file,
 )
 from scenegen.scene_folder import SCENE_FILE
+from storage import NightError
 
 Reason = Literal["not rendered", "given up", "found bad", "other settings", "damaged"]
 _PARTS = ("direct", "hidden")
@@ -133,7 +133,7 @@ class SceneSource:
         except OSError as error:
             problem = f"{error.filename or 'a file'} cannot be read ({error.strerror or error})"
             raise RefusedSceneError(scene_id, "damaged", problem) from None
-        except (NightError, ImageFileError) as error:
+        except NightError as error:
             raise RefusedSceneError(scene_id, "damaged", str(error)) from None
         shapes = {name: values.shape for name, values in images.items()}
         if self._shapes not in (None, shapes):

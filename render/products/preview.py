@@ -22,12 +22,13 @@ from render.products.contact_sheet import contact_sheet
 from render.products.distributions import distributions_figure, read_distributions
 from render.products.tiles import PICTURE_SIZE, read_tile
 from render.settings import RenderError
-from scenegen import Dataset, NightError, Scene, inside, rotation_matrix, whole_file, write_text
-from scenegen.files.plain_file import read_plain
+from scenegen import Dataset, Scene, rotation_matrix
 from scenegen.making.meshes import UserMesh
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.shapes import MESH_PREFIX
 from scenegen.triangles import scene_triangles
+from storage import NightError, inside, whole_file, write_text
+from storage.plain_file import read_plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,7 +16,8 @@ from itof import TransientLayout, TransientReader, pixel_rays
 from render.products.conversion import ExportError, exported_file, open_transient
 from render.products.patient_file import hdf5_file
 from render.products.rendered_scene import rendered_scene
-from scenegen import TRANSIENT_FILE, Dataset, PathLike, Scene, camera_axes, rotation_matrix, wall_normal
+from scenegen import TRANSIENT_FILE, Dataset, Scene, camera_axes, rotation_matrix, wall_normal
+from storage import PathLike
 
 if TYPE_CHECKING:
     import h5py

@@ -14,16 +14,8 @@ import numpy as np
 from itof import read_image
 from render.farm.claims import joined_run, noting
 from render.products.conversion import ExportError
-from scenegen import (
-    IMAGE_FILES,
-    TRANSIENT_FILES,
-    Dataset,
-    read_record,
-    remove_leftovers,
-    sha256_of,
-    write_record,
-    write_rendering_record,
-)
+from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record, write_record, write_rendering_record
+from storage import remove_leftovers, sha256_of
 
 
 def transient_bytes(dataset: Dataset, scenes: Iterable[str]) -> int:

@@ -16,7 +16,8 @@ from itof import SPEED_OF_LIGHT, WIDEST_REACH_BINS, TransientLayout, TransientRe
 from render.products.conversion import ExportError, exported_file, open_transient
 from render.products.rendered_scene import rendered_scene
 from render.products.transient_parts import first_hidden_bin, hidden_start_m
-from scenegen import Dataset, PathLike, Scene
+from scenegen import Dataset, Scene
+from storage import PathLike
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

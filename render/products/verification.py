@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from itof import read_image
+from processes.worker_processes import results_in_order, worker_pool
 from render.farm.claims import claimed
 from render.products.content_checks import (
     changed_files,
@@ -28,7 +29,6 @@ from scenegen import (
     TRANSIENT_FILES,
     BadRender,
     Dataset,
-    NightError,
     RenderRecord,
     open_dataset,
     read_bad_render,
@@ -38,7 +38,7 @@ from scenegen import (
 )
 from scenegen.render_folder import BAD_FILE
 from scenegen.scene_folder import differences, folder_digest
-from scenegen.worker_processes import results_in_order, worker_pool
+from storage import NightError
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from render.products.conversion import ExportError
-from scenegen import sha256_of
+from storage import sha256_of
 
 _CHUNK_BYTES = 2**20
 _LEVEL = 5  # of Zstandard

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.transport.lights.hidden_surface import hidden_shapes
-from scenegen import NightError
+from storage import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

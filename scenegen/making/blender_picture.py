@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.chatter import silenced
+from processes.silence import silenced
 from scenegen.making.blender_start import STDERR, STDOUT, BlenderVector, bpy
 from scenegen.making.outlines import clipped, frustum_edges, frustum_sides, wall_corners
 from scenegen.pose import camera_axes, rotation_matrix

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Protocol
 
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
-from scenegen.files.inside import inside
-from scenegen.files.whole_files import whole_folder
 from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
 from scenegen.preset import Preset
 from scenegen.rendering_record import read_rendering_record, write_rendering_record
 from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene
+from storage.inner_paths import inside
+from storage.whole_writing import whole_folder
 
 
 class Maker(Protocol):

@@ -13,13 +13,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 from scenegen.dataset import DatasetError, open_dataset
-from scenegen.files.inside import inside
-from scenegen.files.locks import lock
-from scenegen.files.partials import is_partial, remove_leftovers
-from scenegen.files.plain_file import read_plain
 from scenegen.preset import Preset
 from scenegen.scene import scene_from_json, scene_id
 from scenegen.scene_folder import MOST_FILE_BYTES, SCENE_FILE, is_scene_file
+from storage.inner_paths import inside
+from storage.locks import lock
+from storage.partials import is_partial, remove_leftovers
+from storage.plain_file import read_plain
 
 NO_MESHES: Mapping[str, str] = MappingProxyType({})
 _NAMED = 3  # files that a refusal names

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from scenegen import NightError
+from storage import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

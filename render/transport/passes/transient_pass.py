@@ -23,7 +23,7 @@ from render.transport.passes.direct_pass import DirectImage, direct_lanes, sampl
 from render.transport.passes.gather_pass import carrier_path_m, carrier_paths
 from render.transport.passes.hidden_curves import make_curves
 from render.transport.passes.hidden_pass import ChosenPoints, HiddenField, choose_points
-from scenegen import NightError
+from storage import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -1,0 +1,247 @@
+"""Check of a capture before any network sees it: what is wrong with it, in words and as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof.capture.capture import ImageShape, read_capture
+from itof.capture.check_picture import refuse_other_picture, write_picture
+from itof.capture.facts import CaptureFacts, milliradians
+from itof.capture.image_check import ImageCheck, check_image, wall_distance_m
+from itof.capture.importing import paths
+from itof.capture.raw_frames import refuse_repeated
+from itof.capture.record import read_import_record
+from itof.capture.sidecar import FASTEST_HZ, MOST_FREQUENCIES, SLOWEST_HZ, CaptureError, Sidecar
+from itof.capture.sidecar_files import load_sidecar
+from itof.files.measurement_files import read_measurement
+from itof.wall.check_result import MeasurementCheck, WallFound, joined
+from itof.wall.finding import Finding, length
+from itof.wall.plausibility import check_measurement
+from itof.wall.unknown_wall import SeenWall
+from storage import PathLike
+from storage.quantities import fov_problem
+
+MOST_REFUSED: Final = 20  # images, after which the rest is not checked
+_REFERENCE = "the reference: "
+
+
+@dataclass(frozen=True)
+class CaptureCheck:
+    """Outcome of `check_capture`.
+
+    Attributes
+    ----------
+    found : findings, and the wall in each image.
+    distances_m : median distance of the wall in each image, metres; None where there is none.
+    facts, reference_facts : of the capture and of that of the empty corner; None if unknown.
+    """
+
+    found: MeasurementCheck
+    distances_m: tuple[float | None, ...]
+    facts: CaptureFacts | None
+    reference_facts: CaptureFacts | None
+
+    @property
+    def refused(self) -> bool:
+        """Whether predictions would be useless."""
+        return self.found.refused
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found, as text; the findings first."""
+        told = [f"warning: {warning}" for warning in self.found.warnings] or ["fine: nothing is wrong"]
+        for wall, away_m in zip(self.found.walls, self.distances_m, strict=True):
+            if wall is None or away_m is None:
+                continue
+            offsets = f"phase offsets {milliradians(wall.offsets_rad)}" if any(wall.offsets_rad) else ""
+            left = f"{milliradians(wall.residual_rms_rad)} are left"
+            told.append(
+                f"the wall is {length(away_m)} away; " + "; ".join(each for each in (offsets, left) if each)
+            )
+        if self.facts is not None:
+            told += self.facts.sentences
+        if self.reference_facts is not None:
+            told += [f"{_REFERENCE}{sentence}" for sentence in self.reference_facts.sentences]
+        return tuple(told)
+
+    def as_data(self) -> dict[str, Any]:
+        """The outcome as plain data."""
+        facts, reference = (
+            None if each is None else asdict(each) for each in (self.facts, self.reference_facts)
+        )
+        return {
+            "refused": self.refused,
+            "findings": [asdict(finding) for finding in self.found.findings],
+            "walls": [None if wall is None else asdict(wall) for wall in self.found.walls],
+            "distances_m": list(self.distances_m),
+            "facts": facts,
+            "reference_facts": reference,
+        }
+
+
+@dataclass(frozen=True)
+class _Images:
+    """Images (N, H, W, F) to check, and what is known about them."""
+
+    phasors: NDArray[Any]
+    frequencies_hz: tuple[float, ...]
+    reference: NDArray[Any] | None
+    fov_deg: float
+    facts: CaptureFacts | None = None
+    reference_facts: CaptureFacts | None = None
+    saturated_part: NDArray[np.float64] | None = None
+
+
+def check_capture(
+    inputs: PathLike | Sequence[PathLike],
+    sidecar: PathLike | None = None,
+    *,
+    empty: PathLike | Sequence[PathLike] = (),
+    changes: Sequence[str] = (),
+    bin_side: int | None = None,
+    size: tuple[int, int] | None = None,
+    horizontal_fov_deg: float | None = None,
+    picture: PathLike | None = None,
+    progress: bool = True,
+) -> CaptureCheck:
+    """Judge raw frames, or a measurement file, without a network.
+
+    Parameters
+    ----------
+    inputs : raw frames with a `sidecar`; without, one measurement file as `import_capture` writes it.
+    horizontal_fov_deg : of the image, degrees. For a measurement file it is needed if there is no record of
+        an import beside it.
+    picture : PNG file to write; it shows the first image that is refused, or else the first one. Only an
+        earlier picture of a check is replaced.
+
+    The other parameters are those of `import_capture`.
+
+    Raises
+    ------
+    CaptureError : a file or the sidecar cannot be used, a file is given twice, the field of view is not
+        known, or `picture` is another file. What the check finds is no error.
+    MeasurementError : the measurement file cannot be read.
+    """
+    files = paths(inputs)
+    refuse_repeated([*files, *paths(empty)])
+    if picture is not None:
+        refuse_other_picture(Path(picture))
+    if sidecar is not None:
+        shape = ImageShape(bin_side, size, horizontal_fov_deg)
+        images = _of_frames(files, paths(empty), load_sidecar(sidecar, changes), shape, progress)
+    else:
+        if len(files) != 1 or empty or changes or bin_side or size:
+            raise CaptureError(
+                "a measurement file is checked alone: raw frames and their options need --sidecar"
+            )
+        images = _of_measurement(files[0], horizontal_fov_deg)
+    checks = _each(images)
+    found: list[tuple[Finding, str | None]] = []
+    if images.reference is not None:
+        found += [(each, None) for each in _of_reference(images, checks)]
+    found += [(each, f"{place:06d}") for place, check in enumerate(checks) for each in check.findings]
+    missing = [None] * (len(images.phasors) - len(checks))
+    shown = [_wall(check) for check in checks]
+    away = [None if seen is None else wall_distance_m(seen) for seen in shown]
+    walls = [None if seen is None else WallFound.of_fit(seen.fit) for seen in shown]
+    result = CaptureCheck(
+        MeasurementCheck(joined(found), (*walls, *missing), images.reference is not None, ()),
+        (*away, *missing),
+        images.facts,
+        images.reference_facts,
+    )
+    if picture is not None:
+        _draw(Path(picture), files[0].name, images, checks, result)
+    return result
+
+
+def _of_frames(
+    files: list[Path], empty: list[Path], sidecar: tuple[Sidecar, Path], shape: ImageShape, progress: bool
+) -> _Images:
+    capture = read_capture(files, *sidecar, shape, progress=progress)
+    reference = read_capture(empty, *sidecar, shape, progress=progress) if empty else None
+    return _Images(
+        capture.phasor[None],
+        capture.frequencies_hz,
+        None if reference is None else reference.phasor,
+        capture.facts.horizontal_fov_deg,
+        capture.facts,
+        None if reference is None else reference.facts,
+        capture.saturated_part,
+    )
+
+
+def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
+    measured = read_measurement(file)
+    count, fastest_hz = len(measured.frequencies_hz), max(measured.frequencies_hz)
+    if count > MOST_FREQUENCIES:
+        raise CaptureError(f"{file} has {count} frequencies, and {MOST_FREQUENCIES} are the most")
+    if not SLOWEST_HZ <= fastest_hz <= FASTEST_HZ:
+        given = ", ".join(f"{frequency_hz:g}" for frequency_hz in measured.frequencies_hz)
+        unit = "Hz, not MHz" if fastest_hz < SLOWEST_HZ else f"Hz, at most {FASTEST_HZ:g}"
+        raise CaptureError(f"{file}: frequencies_hz is {given}: write {unit}")
+    record = read_import_record(file)
+    if record is not None and record.sidecar.frequencies_hz != measured.frequencies_hz:
+        record = None  # somebody has edited it
+    if record is not None and fov_deg is None:
+        fov_deg = record.facts.horizontal_fov_deg
+    if fov_deg is None:
+        raise CaptureError(
+            f"{file} has no record of an import beside it, so its field of view is not known: give it by "
+            "--fov, or give the sidecar of the raw frames"
+        )
+    problem = fov_problem(fov_deg)
+    if problem:
+        raise CaptureError(problem)
+    facts = None if record is None else record.facts
+    reference_facts = None if record is None else record.reference_facts
+    names = (measured.phasors, measured.frequencies_hz, measured.reference)
+    return _Images(*names, fov_deg, facts, reference_facts)
+
+
+def _each(images: _Images) -> list[ImageCheck]:
+    """The images, one by one, until too many are refused."""
+    checks: list[ImageCheck] = []
+    useless = 0
+    for image in images.phasors:
+        if useless > MOST_REFUSED:
+            break
+        checks.append(check_image(image, images.frequencies_hz, images.fov_deg, images.facts))
+        useless += any(finding.refused for finding in checks[-1].findings)
+    return checks
+
+
+def _of_reference(images: _Images, checks: list[ImageCheck]) -> list[Finding]:
+    """What is wrong with the empty corner, and with the first image compared with it."""
+    reference = images.reference
+    if reference is None:
+        return []
+    check = check_image(reference, images.frequencies_hz, images.fov_deg, images.reference_facts)
+    found = [Finding(each.code, f"{_REFERENCE}{each.sentence}", each.refused) for each in check.findings]
+    bad = any(finding.refused for each in (check, checks[0]) for finding in each.findings)
+    if not bad and check.seen is not None:
+        # Phase offsets drift from capture to capture. Self-calibrated networks do not mind; prediction
+        # checks what its network minds.
+        compared = check_measurement(images.phasors[0], check.seen.wall, reference, self_calibrated=True)
+        found += [each for each in compared.findings if each.code in ("wall-moved", "no-wall")]
+    return found
+
+
+def _wall(check: ImageCheck) -> SeenWall | None:
+    """The wall of an image that shows one."""
+    return None if any(finding.refused for finding in check.findings) else check.seen
+
+
+def _draw(picture: Path, title: str, images: _Images, checks: list[ImageCheck], result: CaptureCheck) -> None:
+    from itof.capture.check_figure import check_figure  # matplotlib takes half a second to load
+
+    refused = [place for place, check in enumerate(checks) if any(each.refused for each in check.findings)]
+    place = refused[0] if refused else 0
+    seen, said = checks[place].seen, "; ".join(result.found.warnings) or "fine: nothing is wrong"
+    write_picture(picture, check_figure(title, images.phasors[place], images.saturated_part, seen, said))

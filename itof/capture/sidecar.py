@@ -1,0 +1,253 @@
+"""The sidecar of a capture: what a file of raw frames does not say about itself."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from itof.capture.phase_steps import phasor_weights
+from storage import NightError
+from storage.contract import STRICT
+from storage.quantities import FieldOfView
+
+AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
+SLOWEST_HZ, FASTEST_HZ = 1e4, 1e10  # no camera modulates below or above
+MOST_FREQUENCIES = 16
+_LARGEST_ANGLE = 4 * np.pi  # of a phase step in radians; 90, 180 and 270 are degrees
+_FEW_BITS = 8
+TOO_COARSE: Final = (
+    "8-bit numbers are too coarse for hidden light, and often a picture for people: give raw frames of at "
+    "least 10 bits"
+)
+
+Layout = Literal["taps", "differences", "phasors", "amplitude-phase", "amplitude-depth"]
+Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
+Axis = Annotated[str, Field(max_length=60, pattern=r"^[a-z]+(\*[a-z]+)*$")]
+Names = Annotated[tuple[Name, ...], Field(max_length=256)]
+Angles = Annotated[tuple[float, ...], Field(max_length=64)]
+Count = Annotated[int, Field(ge=1, le=64)]
+Number = Annotated[float, Field(gt=0, le=1e12)]
+Frequency = Annotated[float, Field(gt=0, le=FASTEST_HZ)]
+Seconds = Annotated[float, Field(ge=1e-12, le=1e6)]
+Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+Distortion = Annotated[float, Field(ge=-1e3, le=1e3)]
+
+
+class CaptureError(NightError):
+    """A capture or its sidecar cannot be used: a file, a key or the frames themselves are wrong."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class Lens:
+    """Distortion of a lens by Brown and Conrady, as OpenCV calibrates it.
+
+    With x, y the direction of a ray at z = 1 (right, down) and r² = x² + y², the pixel that sees it is at
+    the column cx + fx (x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)) and the row
+    cy + fy (y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y).
+
+    Attributes
+    ----------
+    fx, fy : focal lengths, pixels of the sensor.
+    cx, cy : principal point, pixels; the centre of the upper left pixel is at 0, 0.
+    k1, k2, k3 : radial distortion.
+    p1, p2 : tangential distortion.
+
+    Source: D. C. Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32, 1966.
+    """
+
+    fx: Annotated[float, Field(gt=0, le=1e6)]
+    fy: Annotated[float, Field(gt=0, le=1e6)]
+    cx: Pixels
+    cy: Pixels
+    k1: Distortion = 0.0
+    k2: Distortion = 0.0
+    k3: Distortion = 0.0
+    p1: Distortion = 0.0
+    p2: Distortion = 0.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class Sidecar:
+    """What the frames of a capture mean.
+
+    Attributes
+    ----------
+    layout : ``taps`` (numbers of each tap in each raw frame), ``differences`` (of two taps, DCS),
+        ``phasors``, ``amplitude-phase`` or ``amplitude-depth``.
+    arrays : names of the arrays in the file, or of the channels of an ``.exr``: taps, differences, phasors
+        (or their real parts), phases or depths. Several arrays are stacked along `stacked_along`.
+    amplitude_arrays : the same for the amplitudes of the two last layouts.
+    imaginary_arrays : the same for the imaginary parts, if `arrays` are the real parts of phasors.
+    stacked_along : ``frame``, ``frequency``, ``step`` or ``tap``.
+    axes : order of the axes of each array, of frame, frequency, step, tap, row and column. An axis of size
+        one may be left out. ``frequency*step`` is one axis with all steps of the first frequency first.
+    files : ``together`` if each file holds all frequencies; ``frequencies`` if the files are given frequency
+        by frequency, in the order of `frequencies_hz`.
+    frequencies_hz : modulation frequencies in the order of the arrays, Hz.
+    horizontal_fov_deg : full horizontal field of view of the pinhole camera that the image is or becomes,
+        degrees.
+    step_count : number of phase steps, which divide the period evenly: 0, 2π/N, ...
+    steps_rad : the phase steps instead, radians: a tap is brightest for light whose phase is that of the
+        step.
+    tap_count, taps_rad : the same for the taps of a pixel: their phases beside that of the step. Two taps are
+        half a period apart.
+    phase_sign : 1 if the phases that result grow with distance; -1 if they fall.
+    phase_unit : of ``amplitude-phase``: ``rad``, ``deg``, or ``dn`` with `phase_period_dn` numbers per
+        period.
+    depth_unit : of ``amplitude-depth``: ``m`` or ``mm``.
+    depth_along : ``ray`` of the pixel, or optical ``axis``.
+    dark_arrays : names of the arrays of dark frames, which are averaged and subtracted; they have the axes of
+        `arrays`, or `dark_axes`.
+    dark_file : file with the dark frames, in the folder of the sidecar; by default the file of the frames.
+    exposures_s : exposure time of each frame, seconds, if they differ; or `exposure_array`, the name of an
+        array with them.
+    saturation_dn : numbers that reach it, also negative ones, are saturated; by default 2^bits - 1 of
+        ``taps``.
+    bits : of the converter.
+    alternating_row_sign : every second row has the opposite sign, counted from the upper and the lower edge,
+        as in the Kinect v2.
+    rows_from_bottom, columns_from_right : the image is upside down, or mirrored.
+    lens : distortion, which is taken out.
+    """
+
+    layout: Layout
+    arrays: Annotated[Names, Field(min_length=1)]
+    axes: Annotated[tuple[Axis, ...], Field(min_length=2, max_length=6)]
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_FREQUENCIES)]
+    horizontal_fov_deg: FieldOfView
+    amplitude_arrays: Names = ()
+    imaginary_arrays: Names = ()
+    stacked_along: Literal["frame", "frequency", "step", "tap"] | None = None
+    files: Literal["together", "frequencies"] = "together"
+    step_count: Count | None = None
+    steps_rad: Angles = ()
+    tap_count: Count | None = None
+    taps_rad: Angles = ()
+    phase_sign: Literal[1, -1] = 1
+    phase_unit: Literal["rad", "deg", "dn"] = "rad"
+    phase_period_dn: Annotated[float, Field(ge=1e-6, le=1e12)] | None = None
+    depth_unit: Literal["m", "mm"] = "m"
+    depth_along: Literal["ray", "axis"] = "ray"
+    dark_arrays: Names = ()
+    dark_axes: Annotated[tuple[Axis, ...], Field(max_length=6)] = ()
+    dark_file: Name | None = None
+    exposures_s: tuple[Seconds, ...] = ()
+    exposure_array: Name | None = None
+    saturation_dn: Number | None = None
+    bits: Annotated[int, Field(ge=1, le=32)] | None = None
+    alternating_row_sign: bool = False
+    rows_from_bottom: bool = False
+    columns_from_right: bool = False
+    lens: Lens | None = None
+
+    def __post_init__(self) -> None:
+        _refuse_axes(self)
+        _refuse_units(self)
+        _refuse_pairs(self)
+        if self.is_raw:
+            phasor_weights(self.steps, self.taps)
+
+    @property
+    def is_raw(self) -> bool:
+        """Whether the arrays hold phase steps."""
+        return self.layout in ("taps", "differences")
+
+    def takes_complex(self, name: str) -> bool:
+        """Whether an array of the frames may hold complex numbers."""
+        return self.layout == "phasors" and not self.imaginary_arrays and name in self.arrays
+
+    @property
+    def steps(self) -> tuple[float, ...]:
+        """Phases of the steps, radians."""
+        return _phases(self.steps_rad, self.step_count)
+
+    @property
+    def taps(self) -> tuple[float, ...]:
+        """Phases of the taps, radians."""
+        return _phases(self.taps_rad, self.tap_count)
+
+    @property
+    def saturation(self) -> float | None:
+        """Smallest size of a number that is saturated; None if unknown."""
+        if self.saturation_dn is None and self.bits is not None and self.layout == "taps":
+            return float(2**self.bits - 1)
+        return self.saturation_dn
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Names of all arrays in the file of the frames."""
+        dark = self.dark_arrays if self.dark_file is None else ()
+        exposure = () if self.exposure_array is None else (self.exposure_array,)
+        return (*self.arrays, *self.amplitude_arrays, *self.imaginary_arrays, *dark, *exposure)
+
+
+def _phases(given: tuple[float, ...], count: int | None) -> tuple[float, ...]:
+    if given:
+        return given
+    return tuple(2 * np.pi * place / (count or 1) for place in range(count or 1))
+
+
+def _refuse_axes(sidecar: Sidecar) -> None:
+    """Axes that are unknown or named twice."""
+    for key, axes in (("axes", sidecar.axes), ("dark_axes", sidecar.dark_axes)):
+        parts = [part for axis in axes for part in axis.split("*")]
+        unknown = [part for part in parts if part not in AXES]
+        if unknown:
+            raise ValueError(f"{key} names {unknown[0]}, which is none of {', '.join(AXES)}")
+        if len(set(parts)) < len(parts) or sidecar.stacked_along in parts:
+            raise ValueError(f"{key} and stacked_along name an axis twice")
+    if not {"row", "column"} <= set(sidecar.axes):
+        raise ValueError("axes must name row and column, each as an axis of its own")
+    many = len(sidecar.arrays) > 1 or len(sidecar.dark_arrays) > 1
+    if many and sidecar.stacked_along is None:
+        raise ValueError("several arrays need stacked_along: frame, frequency, step or tap")
+
+
+def _refuse_units(sidecar: Sidecar) -> None:
+    """Numbers that must be in another unit."""
+    if max(sidecar.frequencies_hz) < SLOWEST_HZ:
+        raise ValueError(
+            f"frequencies_hz is {', '.join(f'{f:g}' for f in sidecar.frequencies_hz)}: give Hz, not MHz, "
+            f"like {sidecar.frequencies_hz[0]:g}e6"
+        )
+    if len(set(sidecar.frequencies_hz)) < len(sidecar.frequencies_hz):
+        raise ValueError("frequencies_hz names a frequency twice")
+    for key in ("steps_rad", "taps_rad"):
+        largest = max((abs(value) for value in getattr(sidecar, key)), default=0.0)
+        if largest > _LARGEST_ANGLE:
+            raise ValueError(f"{key} reaches {largest:g}: give radians, not degrees")
+
+
+def _refuse_pairs(sidecar: Sidecar) -> None:
+    """Keys that exclude or need each other."""
+    layout, count = sidecar.layout, len(sidecar.arrays)
+    amplitudes, imaginary = sidecar.amplitude_arrays, sidecar.imaginary_arrays
+    with_amplitude = layout.startswith("amplitude")
+    taps = sidecar.tap_count or sidecar.taps_rad
+    steps = sidecar.step_count or sidecar.steps_rad
+    dark = sidecar.dark_arrays
+    wrong = {
+        "give step_count or steps_rad, not both": sidecar.step_count and sidecar.steps_rad,
+        "give tap_count or taps_rad, not both": sidecar.tap_count and sidecar.taps_rad,
+        "give exposures_s or exposure_array, not both": sidecar.exposure_array and sidecar.exposures_s,
+        f"the layout {layout} needs amplitude_arrays": with_amplitude and not amplitudes,
+        f"the layout {layout} has no amplitude_arrays": amplitudes and not with_amplitude,
+        "arrays and amplitude_arrays must be as many": amplitudes and len(amplitudes) != count,
+        "imaginary_arrays goes with the layout phasors": imaginary and layout != "phasors",
+        "arrays and imaginary_arrays must be as many": imaginary and len(imaginary) != count,
+        "differences have no taps: leave out tap_count and taps_rad": layout == "differences" and taps,
+        f"the layout {layout} has neither steps nor taps": not sidecar.is_raw and (taps or steps),
+        "phase_unit dn and phase_period_dn go together": (sidecar.phase_unit == "dn")
+        != (sidecar.phase_period_dn is not None),
+        "dark frames go with the layouts taps and differences": dark and not sidecar.is_raw,
+        "dark_file needs dark_arrays": sidecar.dark_file and not dark,
+        "depths along the axis do not go with a lens: give depths along the rays": sidecar.lens
+        and sidecar.depth_along == "axis",
+        TOO_COARSE: sidecar.bits is not None and sidecar.bits <= _FEW_BITS,
+    }
+    for sentence, is_wrong in wrong.items():
+        if is_wrong:
+            raise ValueError(sentence)

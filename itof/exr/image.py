@@ -1,0 +1,138 @@
+"""EXR images with named channels: phasors and depth maps.
+
+Layout (docs/reference/files.md): named FLOAT channels of H x W. Phasors are ``<prefix>.<f>MHz.Re`` and
+``.Im``. Transients are in `itof.exr.transient`.
+
+All files have lossless compression (ZIPS: one scanline per block) and float32 values. Every attribute is
+text: OpenEXR would store a number as float32, and 0.01 would be read as 0.00999999978.
+
+Writers write to the final path. Use `storage.whole_file` where an incomplete file must not appear.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from itof.exr.header import ImageFileError
+from itof.exr.library import ExrInput, ExrOutput
+from storage.machine_memory import memory_shortage
+
+_COPIES = 4  # of the channels, while phasors are made of them
+_MOST_NAMES = 20  # of channels in a sentence
+_PHASOR_CHANNEL = re.compile(r"(?P<prefix>\w+)\.(?P<mhz>[0-9]{1,300}(\.[0-9]{1,300})?)MHz\.(?P<part>Re|Im)")
+
+
+@dataclass(frozen=True)
+class Image:
+    """Named (H, W) float32 channels with text attributes."""
+
+    channels: dict[str, NDArray[np.float32]]
+    attributes: dict[str, str]
+
+    def channel(self, name: str) -> NDArray[np.float32]:
+        """(H, W) values of a channel; when it is missing, an `ImageFileError` names the existing ones."""
+        if name not in self.channels:
+            raise ImageFileError(f"no channel {name} among {self._names()}")
+        return self.channels[name]
+
+    def phasors(self, prefix: str = "itof") -> tuple[NDArray[np.complex64], tuple[float, ...]]:
+        """(H, W, F) phasors whose channels have this prefix, and their F frequencies, Hz, ascending."""
+        found = [match for name in self.channels if (match := _PHASOR_CHANNEL.fullmatch(name))]
+        labels = sorted({m["mhz"] for m in found if m["prefix"] == prefix}, key=float)
+        if not labels:
+            raise ImageFileError(f"no channel {prefix}.<f>MHz.Re/Im among {self._names()}")
+        with np.errstate(invalid="ignore"):  # infinite pixels become NaN
+            parts = [
+                self.channel(f"{prefix}.{mhz}MHz.Re") + 1j * self.channel(f"{prefix}.{mhz}MHz.Im")
+                for mhz in labels
+            ]
+        return np.stack(parts, axis=-1).astype(np.complex64), tuple(float(f"{mhz}e6") for mhz in labels)
+
+    def _names(self) -> str:
+        first = ", ".join(sorted(self.channels)[:_MOST_NAMES])
+        return f"{first}, ..." if len(self.channels) > _MOST_NAMES else first
+
+
+def phasor_channels(
+    phasor: ArrayLike, frequencies_hz: Sequence[float], prefix: str = "itof"
+) -> dict[str, NDArray[np.float32]]:
+    """Channels ``<prefix>.<f>MHz.Re`` and ``.Im`` of (H, W, F) phasors, each (H, W) float32.
+
+    <f> is the shortest exact decimal of the frequency in MHz, so that every frequency is read back exactly.
+    """
+    z = np.asarray(phasor)
+    channels: dict[str, NDArray[np.float32]] = {}
+    for index, frequency_hz in enumerate(frequencies_hz):
+        label = f"{prefix}.{_megahertz(frequency_hz)}MHz"
+        channels[f"{label}.Re"] = z[..., index].real.astype(np.float32)
+        channels[f"{label}.Im"] = z[..., index].imag.astype(np.float32)
+    return channels
+
+
+def _megahertz(frequency_hz: float) -> str:
+    """20e6 as "20", 62.5e6 as "62.5": decimal digits, which division by a float 1e6 would not keep."""
+    digits = format(Decimal(repr(float(frequency_hz))).scaleb(-6), "f")
+    return digits.rstrip("0").rstrip(".") if "." in digits else digits
+
+
+def write_image(
+    path: str | os.PathLike[str], channels: Mapping[str, ArrayLike], attributes: Mapping[str, str]
+) -> None:
+    """Write named (H, W) channels as float32.
+
+    Raises
+    ------
+    OSError : the file cannot be written.
+    ValueError : channels of different shapes, or not of two dimensions.
+    """
+    pixels = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in channels.items()}
+    shapes = {values.shape for values in pixels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise ValueError(f"all channels of an image have one shape (H, W), got {sorted(shapes)}")
+    height, width = next(iter(shapes))
+    file, is_complete = ExrOutput(Path(path), (width, height), list(pixels), attributes), False
+    try:
+        file.write(pixels, height)
+        is_complete = True
+    finally:
+        file.close(complete=is_complete)
+
+
+def read_image(path: str | os.PathLike[str], *, advice: str = "", copies: int = _COPIES) -> Image:
+    """Read all channels of an EXR image as (H, W) float32.
+
+    Parameters
+    ----------
+    advice : what to do where the file is damaged; it ends the sentence of the error.
+    copies : how many copies of the channels must fit into half of the memory; phasors need four.
+
+    Raises
+    ------
+    ImageFileError : the file is missing, damaged, not an EXR file, or too large for this machine's memory.
+    """
+    with closing(ExrInput(Path(path), advice)) as file:
+        found = file.structure
+        if shortage := memory_shortage(found.float_bytes + found.unpacking_bytes, copies=copies):
+            raise ImageFileError(f"{path} {shortage}")
+        names = list(found.channels)
+        return Image(dict(zip(names, file.rows(names, 0, found.height), strict=True)), file.texts)
+
+
+def pixel_types(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Number type of each channel of an EXR file, by name: ``FLOAT``, ``HALF`` or ``UINT``.
+
+    Raises
+    ------
+    ImageFileError : the file is missing or not an EXR file.
+    """
+    with closing(ExrInput(Path(path))) as file:
+        return file.structure.channels

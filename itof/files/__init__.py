@@ -1,0 +1,5 @@
+"""Measurement files: phasors from NumPy, MATLAB and HDF5 files, read in a process of their own.
+
+`array_claims` refuses arrays that are too large before they are read. May import the other modules of `itof`
+but no sub-package except `itof.exr`.
+"""

@@ -1,0 +1,180 @@
+"""Reading measurement files: phasors from a real camera or from ``night-render``.
+
+==================  ========================================================================================
+``.exr``            one image with the channels of ``itof.exr``: ``itof.<f>MHz.Re`` and ``itof.<f>MHz.Im``
+``.npz``            arrays ``phasors``, ``frequencies_hz`` and optionally ``reference``
+``.h5``, ``.hdf5``  data sets with the same names
+==================  ========================================================================================
+
+``phasors`` is (H, W, F) or (N, H, W, F) complex, ``frequencies_hz`` is (F,) in Hz, ``reference`` is (H, W, F)
+complex. Reading a file never executes anything in it: pickled arrays, HDF5 filters from plugins and links to
+other files are refused. The file is read in a process of its own (`itof.files.measurement_process`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof.files.array_claims import ARRAYS, RefusedError
+from itof.files.measurement_process import FileContents, read_contents
+from storage import NightError, PathLike
+
+_ENDINGS = (".exr", ".npz", ".h5", ".hdf5")
+_SAME_FREQUENCY = 1e-6  # relative tolerance; changes the phase of 20 m optical path at 20 MHz by 8e-6 rad
+
+
+class MeasurementError(NightError):
+    """A measurement file is missing or damaged, or its arrays are not as required."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Contents of a measurement file.
+
+    Attributes
+    ----------
+    path : the file.
+    phasors : (N, H, W, F) complex.
+    frequencies_hz : F modulation frequencies, Hz, in the order of the phasors.
+    reference : (H, W, F) complex capture of the empty corner; None if the file has none.
+    in_training_unit : whether the phasors have the unit of rendered scenes; cameras have other units.
+    ignored : names of arrays in the file that are not used, such as ``ref`` for ``reference``.
+    """
+
+    path: Path
+    phasors: NDArray[np.complexfloating[Any, Any]]
+    frequencies_hz: tuple[float, ...]
+    reference: NDArray[np.complexfloating[Any, Any]] | None
+    in_training_unit: bool
+    ignored: tuple[str, ...] = ()
+
+    def at(self, frequencies_hz: Sequence[float]) -> Measurement:
+        """The measurement with these frequencies only, Hz, in this order.
+
+        Raises
+        ------
+        MeasurementError : a frequency was not measured.
+        """
+        found = np.array(self.frequencies_hz)  # (F,)
+        nearest = [int(np.argmin(np.abs(found - f))) for f in frequencies_hz]
+        missing = [
+            f
+            for f, index in zip(frequencies_hz, nearest, strict=True)
+            if not np.isclose(found[index], f, rtol=_SAME_FREQUENCY, atol=0)
+        ]
+        if missing:
+            is_megahertz = found.max() < 1e4  # no camera modulates below 10 kHz
+            hint = "; frequencies_hz is in Hz, not MHz" if is_megahertz else ""
+            raise MeasurementError(
+                f"{self.path} holds {_megahertz(found)}, the network also needs {_megahertz(missing)}{hint}"
+            )
+        reference = None if self.reference is None else self.reference[..., nearest]
+        return replace(
+            self,
+            phasors=self.phasors[..., nearest],
+            frequencies_hz=tuple(frequencies_hz),
+            reference=reference,
+        )
+
+
+def read_measurement(path: PathLike) -> Measurement:
+    """Read a measurement file; its ending tells the format.
+
+    Raises
+    ------
+    MeasurementError : the ending is unknown; the file is missing, damaged or of another format, or claims
+        more than the memory of this machine can hold; an array is missing or has the wrong type or shape; a
+        value is not finite.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MeasurementError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}")
+    if path.suffix.lower() not in _ENDINGS:
+        ending = f"the ending {path.suffix}" if path.suffix else "no ending"
+        raise MeasurementError(f"{path} has {ending}: measurements are read from {', '.join(_ENDINGS)} files")
+    try:
+        contents = read_contents(path)
+    except RefusedError as error:
+        raise MeasurementError(str(error)) from None
+    return measurement_of(path, contents)
+
+
+def measurement_of(path: Path, contents: FileContents) -> Measurement:
+    """The measurement in the arrays of a file; `MeasurementError` if they are not as they should be."""
+    found = contents.arrays
+    for name in ARRAYS[:2]:
+        if name not in found:
+            there = ", ".join(sorted(contents.names)[:20]) or "nothing"
+            raise MeasurementError(f"{path} has no array {name}; it holds {there}")
+    frequencies_hz = _frequencies(path, found["frequencies_hz"])
+    phasors = found["phasors"]
+    count = len(frequencies_hz)
+    _refuse_other_axes(path, "phasors", phasors, count, "(H, W, F) or (N, H, W, F)", (3, 4))
+    phasors = phasors if phasors.ndim == 4 else phasors[None]
+    _refuse_not_finite(path, "phasors", phasors)
+    reference = found.get("reference")
+    if reference is not None:
+        _refuse_other_axes(path, "reference", reference, count, "(H, W, F)", (3,))
+        _refuse_not_finite(path, "reference", reference[None])
+        if reference.shape != phasors.shape[1:]:
+            raise MeasurementError(
+                f"{path}: reference of shape {reference.shape} does not fit images of {phasors.shape[1:]}"
+            )
+        dark = int(np.count_nonzero((reference == 0).any(axis=-1) & (phasors != 0).any(axis=(0, -1))))
+        if dark:
+            raise MeasurementError(
+                f"{path}: reference is 0 in {dark} pixels that have light in the measurement: capture the "
+                "empty corner with the same exposure"
+            )
+    return Measurement(
+        path,
+        phasors,
+        frequencies_hz,
+        reference,
+        in_training_unit=path.suffix.lower() == ".exr",
+        ignored=tuple(name for name in contents.names if name not in ARRAYS),
+    )
+
+
+def _frequencies(path: Path, values: NDArray[Any]) -> tuple[float, ...]:
+    if values.dtype.kind not in "iuf" or values.ndim != 1 or not values.size:
+        raise MeasurementError(
+            f"{path}: frequencies_hz must be a list of numbers, got {values.dtype} of shape {values.shape}"
+        )
+    frequencies_hz = tuple(float(value) for value in values)
+    if not all(0 < f < np.inf for f in frequencies_hz) or len(set(frequencies_hz)) < len(frequencies_hz):
+        raise MeasurementError(f"{path}: frequencies_hz must be different positive numbers: {frequencies_hz}")
+    return frequencies_hz
+
+
+def _refuse_other_axes(
+    path: Path, name: str, values: NDArray[Any], frequency_count: int, shape: str, axes: tuple[int, ...]
+) -> None:
+    if values.dtype.kind != "c":
+        raise MeasurementError(f"{path}: {name} must be complex, Re + j Im, got {values.dtype}")
+    if values.ndim not in axes or not values.size:
+        raise MeasurementError(f"{path}: {name} must have the shape {shape}, got {values.shape}")
+    if values.shape[-1] != frequency_count:
+        raise MeasurementError(
+            f"{path}: {name} of shape {values.shape} must have {frequency_count} values on its last axis, "
+            "one for each of frequencies_hz"
+        )
+
+
+def _refuse_not_finite(path: Path, name: str, images: NDArray[Any]) -> None:
+    """Refuse (N, H, W, F) images with NaN or infinite values; the message names the first one."""
+    for index, image in enumerate(images):
+        bad = int(np.count_nonzero(~np.isfinite(image)))
+        if bad:
+            where = f"image {index} of {name}" if len(images) > 1 else name
+            raise MeasurementError(f"{path}: {where} holds {bad} values that are NaN or infinite")
+
+
+def _megahertz(frequencies_hz: Sequence[float] | NDArray[np.float64]) -> str:
+    return ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz) + " MHz"

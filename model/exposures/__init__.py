@@ -1,6 +1,0 @@
-"""Accuracy against exposure: what a network makes of scenes that a modelled camera measures.
-
-`measuring` puts the camera between scene and network, `sweep` judges at each exposure or imperfection, and
-`results` holds the numbers. May import `model.report`, `model.prediction`, `model.data`, `model.network`, the
-run folder and the settings; not `model.training`.
-"""

@@ -1,0 +1,172 @@
+"""Comparison of a network's predictions with the ground truth of a split."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import to_rgba
+from numpy.typing import NDArray
+
+from itof import DepthMap, join_components, phasor_of_return
+from itof.pictures.pointclouds import (
+    TRUTH_COLOUR,
+    distance_colours,
+    distances_m,
+    object_points,
+    write_point_cloud,
+)
+from model.data.feed import Feed
+from model.data.rows import RowBlock
+from model.data.shards import Shards
+from model.judging.calibration import SWEEP, Calibration, ThresholdCurve, ThresholdSweep, reread
+from model.judging.groups import group_tables
+from model.judging.refusals import nothing_rendered
+from model.judging.reliability import DepthReliabilityCount, ReliabilityCount
+from model.judging.results import Report
+from model.judging.scene_result import SceneResult, judge_scene
+from model.judging.showcase import ShownScene
+from model.network.metrics import summarise
+from model.network.readout import Readout
+from model.prediction.predictor import BATCH, Predictor
+from processes.progress import showing_progress
+from scenegen import Dataset, Split
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A network, the readout of its output, and the scenes on which it is judged."""
+
+    predictor: Predictor
+    readout: Readout
+    dataset: Dataset
+    shards: Shards
+    progress: bool
+
+    @property
+    def thresholds(self) -> tuple[float, ...]:
+        """Mask thresholds of the calibration: the sweep, the run's own and the one in use."""
+        return (*SWEEP, self.predictor.config.readout.mask_threshold, self.readout.mask_threshold)
+
+    def predictions(self, split: Split) -> Iterator[tuple[RowBlock, DepthMap]]:
+        """Batches of a split with their predictions."""
+        rows = self.shards.rows(split)
+        feed = Feed(self.shards, rows, window_rows=0)  # rows are used once, so one piece at a time suffices
+        with showing_progress(len(rows), "scene", split, show=self.progress) as bar:
+            for block in feed.in_order(BATCH):
+                yield block, self.predict(block)
+                bar.update(len(block))
+
+    def predict(self, block: RowBlock) -> DepthMap:
+        """Predictions of rows, from the frequencies of the training."""
+        used = self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
+        fields_of_view_deg = self.shards.fields_of_view_deg(block.rows)
+        prediction = self.predictor.predict(
+            block.complex_phasors()[..., used],
+            None if fields_of_view_deg else self.shards.reference[..., used],
+            fields_of_view_deg=fields_of_view_deg,
+        )
+        if self.readout == self.predictor.config.readout:
+            return prediction
+        return reread(prediction, self.readout)
+
+
+def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
+    """Metrics of every scene of a split; their point clouds are written to the folder `clouds`.
+
+    Raises
+    ------
+    EvaluationError : no scene of the split is rendered.
+    """
+    sweep = ThresholdSweep(split, bench.thresholds, bench.readout)
+    reliability, depth_reliability = ReliabilityCount(), DepthReliabilityCount()
+    has_probability = bench.predictor.config.settings.predicts_probability
+    results: list[SceneResult] = []
+    for block, predictions in bench.predictions(split):
+        sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
+        reliability.add(predictions.phasor, block.mask)
+        depth_reliability.add(predictions, block.radial_depth_m, block.mask)
+        for index, name in enumerate(bench.shards.ids(block.rows)):
+            scene = bench.dataset.scene(name)
+            truth_m, mask = block.radial_depth_m[index], block.mask[index]
+            prediction, fov_deg = predictions[index], scene.camera.horizontal_fov_deg
+            result = judge_scene(scene, prediction, truth_m, mask, has_probability=has_probability)
+            results.append(result)
+            points_gt_m = object_points(truth_m, mask, fov_deg)
+            points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, fov_deg)
+            _write_clouds(clouds, name, points_gt_m, points_pred_m)
+    if not results:
+        raise nothing_rendered(bench.dataset, split)
+    location = bench.dataset.preset.hidden_object.location_m
+    return Report(
+        split=split,
+        scenes=tuple(results),
+        prediction=summarise([r.prediction for r in results]),
+        no_object=summarise([r.no_object for r in results]),
+        groups=group_tables(results, (location.x, location.y, location.z)),
+        calibration=_calibration(bench, sweep.curve()),
+        reliability=reliability.curve() if has_probability else None,
+        depth_reliability=depth_reliability.curve(),
+    )
+
+
+def _calibration(bench: Bench, judged: ThresholdCurve) -> Calibration:
+    """The sweep of the judged split, and of the validation split if there is one."""
+    validation = judged if judged.split == "validation" else None
+    if validation is None and bench.shards.rows("validation"):
+        sweep = ThresholdSweep("validation", bench.thresholds, bench.readout)
+        for block, predictions in bench.predictions("validation"):
+            sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
+        validation = sweep.curve()
+    return Calibration(bench.predictor.config.readout, bench.readout, judged, validation)
+
+
+def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> list[ShownScene]:
+    """Scenes by rank, predicted again."""
+    rows = {scene.id: row for row, scene in enumerate(bench.shards.manifest.scenes)}
+    shown = []
+    for rank, result in chosen.items():
+        block = bench.shards.read([rows[result.scene]])
+        prediction = bench.predict(block)[0]
+        truth_m, mask = block.radial_depth_m[0], block.mask[0] > 0
+        fov_deg = bench.dataset.scene(result.scene).camera.horizontal_fov_deg
+        shown.append(
+            ShownScene(
+                rank,
+                result,
+                DepthMap(truth_m, mask, _true_phasor(bench, block), bench.readout.frequency_hz),
+                prediction,
+                object_points(truth_m, mask, fov_deg),
+                object_points(prediction.radial_depth_m, prediction.mask, fov_deg),
+            )
+        )
+    return shown
+
+
+def _true_phasor(bench: Bench, block: RowBlock) -> NDArray[np.complexfloating]:
+    """(H, W) true phasor of the first row of a block, at the frequency of the network's output."""
+    frequency_hz = bench.readout.frequency_hz
+    if frequency_hz == bench.shards.manifest.frequencies_hz[0]:
+        return join_components(np.moveaxis(block.target[0], 0, -1))[..., 0]
+    return (block.mask[0] > 0) * phasor_of_return(block.radial_depth_m[0], frequency_hz)
+
+
+def _write_clouds(
+    folder: Path, scene: str, points_gt_m: NDArray[np.float32], points_pred_m: NDArray[np.float32]
+) -> None:
+    """Write the (n, 3) points of truth and prediction, if there are any, in the colours of the report."""
+    distance_m = distances_m(points_pred_m, points_gt_m)
+    views = {
+        "gt": (points_gt_m, (255 * np.array(to_rgba(TRUTH_COLOUR))).round().astype(np.uint8)),
+        "pred": (points_pred_m, distance_colours(distance_m)),
+    }
+    for name, (points_m, colours) in views.items():
+        if len(points_m):
+            write_point_cloud(folder / f"{scene}_{name}.ply", points_m, colours)
+        else:
+            _log.info("scene %s shows no object (%s): no point cloud", scene, name)

@@ -1,0 +1,187 @@
+"""A network's depth maps before and after refinement by rendering, judged on a split of a dataset."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from model.data.shards import open_shards
+from model.judging.refusals import (
+    EvaluationError,
+    nothing_rendered,
+    refuse_missing_split,
+    refuse_other_images,
+)
+from model.prediction.predictor import load
+from model.refinement.light.solids import KIND_OF_SHAPE
+from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
+from model.refinement.refined_result import RefinedScene, RefinementReport
+from model.refinement.refining import Family
+from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
+from model.refinement.work import MOST_RESULT_BYTES, SCENES_FOLDER, Job, Recipe, read_result, worked
+from model.run_folder.shipped import run_folder
+from model.settings import DeviceName
+from processes.progress import showing_progress
+from scenegen import Dataset, Preset, Split
+from storage import PathLike, is_partial, whole_file, write_text
+from storage.inner_paths import inside
+from storage.plain_file import read_plain
+
+RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
+TABLE_FILE, FIGURE_FILE = "refined.csv", "refined.png"
+
+
+def refine_split(
+    run: PathLike,
+    dataset: Dataset,
+    out: PathLike,
+    *,
+    split: Split = "test",
+    objects: Preset | None = None,
+    unknown: Sequence[Unknown] = (),
+    largest_misfit: float = LARGEST_MISFIT,
+    largest_difference: float = LARGEST_DIFFERENCE,
+    workers: int = 1,
+    device: DeviceName = "auto",
+    progress: bool = True,
+) -> RefinementReport:
+    """Refine the predictions of a run on a split, and compare both with the ground truth.
+
+    ``scenes/<id>.json`` and ``scenes/<id>.exr`` hold each scene's result and its refined depth map,
+    ``refined.csv`` and ``refined.json`` all numbers, ``refined.png`` the first twelve scenes. What an
+    interrupted command has finished is kept.
+
+    Parameters
+    ----------
+    objects : a preset with the shapes, extents and reflectance of what may be there; None for that of the
+        dataset. A dataset of measurements (`render.write_pairs`) has none.
+    unknown : what of the object is fitted, too: its extents (from those of `objects`), its reflectance.
+    largest_misfit, largest_difference : what is accepted; see `model.refinement.refining.Refined.is_right`.
+    workers : number of processes; the results do not depend on it.
+
+    Raises
+    ------
+    EvaluationError : the split has no scenes, the run was trained for other images, each scene has its camera
+        elsewhere, `objects` has no shape that can be fitted or is missing for measurements, `out` holds
+        results of another recipe, or a worker process was killed.
+    RunError, DeviceError, ShardError : as `model.evaluate`.
+    """
+    if workers < 1:
+        raise EvaluationError(f"the number of workers is at least 1, got {workers}")
+    for name, value in (("misfit", largest_misfit), ("difference", largest_difference)):
+        if not (math.isfinite(value) and value > 0):
+            raise EvaluationError(f"the largest {name} is a number above 0, got {value:g}")
+    run, out = run_folder(run), Path(out).resolve()
+    refuse_missing_split(dataset, split)
+    fitted = tuple(sorted(set(unknown)))
+    family = _family(dataset, objects, fitted)
+    predictor, shards = load(run, device), open_shards(dataset, progress=progress)
+    refuse_other_images(predictor.config, shards, run, dataset)
+    rows = shards.rows(split)
+    if not rows:
+        raise nothing_rendered(dataset, split)
+    recipe = Recipe(
+        predictor.config.run_id,
+        predictor.weights_sha256,
+        shards.manifest.data_sha256,
+        split,
+        dict(family.sizes),
+        family.reflectance,
+        fitted,
+        largest_misfit,
+        largest_difference,
+    )
+    _prepare(out, recipe)
+    job = Job(run, dataset.root, device, family, recipe, out)
+    work = job.begun(predictor, dataset, shards)
+    scenes = shards.ids(rows)
+    results = {scene: found for scene in scenes if (found := read_result(out, scene)) is not None}
+    missing = [(row, scene) for row, scene in zip(rows, scenes, strict=True) if scene not in results]
+    with showing_progress(len(rows), "scene", "refine", initial=len(results), show=progress) as bar:
+        for result in worked(job, work, missing, workers):
+            results[result.scene] = result
+            bar.update(1)
+    report = RefinementReport(tuple(results[scene] for scene in scenes))
+    _write_table(out / TABLE_FILE, report.scenes)
+    write_text(out / RESULT_FILE, json.dumps({**asdict(recipe), **report.as_data()}, indent=2) + "\n")
+    write_refined_figure(out / FIGURE_FILE, [work.shown(row) for row in rows[:MOST_SCENES]])
+    return report
+
+
+def _family(dataset: Dataset, objects: Preset | None, fitted: Sequence[Unknown]) -> Family:
+    """What the hidden objects of a dataset may be."""
+    if not dataset.preset.is_one_corner:
+        raise EvaluationError(
+            f"each scene of {dataset.root} has its camera elsewhere (camera_spread): "
+            "refinement needs one corner"
+        )
+    if objects is None and dataset.is_measured:
+        raise EvaluationError(
+            f"{dataset.root} holds measurements and does not say what may be there: give a preset with the "
+            "shapes and sizes, --objects PRESET"
+        )
+    hidden = (dataset.preset if objects is None else objects).hidden_object
+    known = {shape: hidden.size_m.of(shape) for shape in hidden.shapes if shape in KIND_OF_SHAPE}
+    if not known:
+        raise EvaluationError(
+            f"{dataset.root if objects is None else 'the preset of the objects'} has none of the shapes that "
+            f"can be fitted: {', '.join(KIND_OF_SHAPE)}"
+        )
+    is_known = "reflectance" not in fitted and hidden.least_reflectance is None
+    return Family(known, "sizes" in fitted, hidden.reflectance if is_known else None)
+
+
+def _prepare(out: Path, recipe: Recipe) -> None:
+    """Make the folder, or see that its results are of the same recipe."""
+    file = out / RECIPE_FILE
+    if file.exists():
+        try:
+            earlier = TypeAdapter(Recipe).validate_json(read_plain(file, MOST_RESULT_BYTES))
+        except (OSError, ValueError):
+            earlier = None
+        if earlier is None:
+            raise EvaluationError(
+                f"{file} is damaged, or another version of NIGHT wrote it: choose another --out, or delete "
+                f"{out}"
+            )
+        if earlier != recipe:
+            raise EvaluationError(
+                f"{out} holds results of another run, of its earlier weights, of another dataset or of other "
+                "options: choose another --out, or delete it"
+            )
+    else:
+        if out.exists() and not all(is_partial(each.name) for each in out.iterdir()):
+            raise EvaluationError(f"{out} holds other files: choose another --out")
+        write_text(file, json.dumps(asdict(recipe), indent=2) + "\n")
+    inside(out, SCENES_FOLDER).mkdir(exist_ok=True)
+
+
+def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
+    rows = [
+        {
+            "scene": scene.scene,
+            "object_class": scene.object_class,
+            "shape": scene.solid.shape if scene.solid else "",
+            "misfit": scene.misfit,
+            "noise": scene.noise,
+            "difference_m": scene.difference_m,
+            "expected_mae_m": scene.expected_mae_m,
+            "accepted": scene.accepted,
+            **{f"network_{key}": value for key, value in asdict(scene.network).items()},
+            **{f"refined_{key}": value for key, value in asdict(scene.refined).items()},
+        }
+        for scene in scenes
+    ]
+    with (
+        whole_file(file) as partial,
+        partial.open("w", encoding="utf-8", newline="", errors="backslashreplace") as stream,
+    ):
+        table = csv.DictWriter(stream, fieldnames=list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)

@@ -1,0 +1,245 @@
+"""The refinement of one scene after the other, in this process or in several."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import TypeAdapter
+from pydantic.dataclasses import dataclass as checked_dataclass
+from scipy.spatial.transform import Rotation
+
+from itof import DepthMap
+from itof.wall.wall_view import WallView
+from model.data.corner import wall_view
+from model.data.shards import Shards, open_shards
+from model.device import one_thread
+from model.judging.judging import Bench
+from model.judging.refusals import EvaluationError
+from model.network.metrics import ImageMetrics, image_metrics
+from model.prediction.predictor import Predictor, load
+from model.refinement.light.room import Room, room_of
+from model.refinement.refined_result import FoundSolid, RefinedScene, SceneNumbers
+from model.refinement.refining import Family, Refined, refined
+from model.refinement.settings import Unknown
+from model.run_folder.run_config import Sha256
+from model.settings import DeviceName
+from processes.worker_processes import KILLED, results_in_order, worker_pool
+from scenegen import Dataset, Split, open_dataset
+from storage import whole_file, write_text
+from storage.contract import STRICT
+from storage.plain_file import read_plain
+from storage.quantities import Vector
+
+SCENES_FOLDER = "scenes"
+MOST_RESULT_BYTES = 2**20
+
+
+@checked_dataclass(frozen=True, config=STRICT)
+class Recipe:
+    """What results depend on; only results of the same recipe are kept.
+
+    Attributes
+    ----------
+    weights_sha256 : of ``best.safetensors``, which change while a run goes on; its ``run_id`` does not.
+    """
+
+    run_id: str | None
+    weights_sha256: Sha256
+    data_sha256: str
+    split: Split
+    sizes_m: dict[str, Vector]
+    reflectance: float | None
+    unknown: tuple[Unknown, ...]
+    largest_misfit: float
+    largest_difference: float
+    schema_version: Literal[4] = 4
+
+
+@dataclass(frozen=True)
+class Work:
+    """What the scenes of a split have in common."""
+
+    bench: Bench
+    view: WallView
+    room: Room
+    family: Family
+    recipe: Recipe
+    out: Path
+
+    def result(self, row: int, scene: str) -> RefinedScene:
+        """Predict, refine and judge one scene, and write its files."""
+        with one_thread():
+            return self._result(row, scene)
+
+    def _result(self, row: int, scene: str) -> RefinedScene:
+        bench = self.bench
+        block = bench.shards.read([row])
+        frequencies_hz = bench.predictor.config.inputs.frequencies_hz
+        used = bench.predictor.config.inputs.places(bench.shards.manifest.frequencies_hz)
+        wall = self.view.expected_wall(bench.shards.reference[..., used], frequencies_hz)
+        prediction = bench.predict(block)[0]
+        phasor = block.complex_phasors()[0][..., used]
+        entry = bench.dataset.scene(scene)
+        found = refined(phasor, prediction, wall, self.room, self.family, seed=entry.seed)
+        expected_m = bench.predictor.expected_mae_m(prediction)
+        accepted = found is not None and found.is_right(
+            prediction,
+            expected_m,
+            largest_misfit=self.recipe.largest_misfit,
+            largest_difference=self.recipe.largest_difference,
+        )
+        better = found.depth_map if found is not None and accepted else prediction
+        truth = block.radial_depth_m[0], block.mask[0]
+        result = RefinedScene(
+            scene,
+            entry.object_class,
+            _numbers(image_metrics(prediction.radial_depth_m, prediction.mask, *truth)),
+            _numbers(image_metrics(better.radial_depth_m, better.mask, *truth)),
+            accepted,
+            None if found is None else found.misfit,
+            None if found is None else found.noise,
+            None if found is None else found.difference_m(prediction),
+            expected_m,
+            None if found is None else self._in_world(found),
+            None if found is None else found.reflectance,
+            None if found is None else found.roughness,
+        )
+        self._write(result, better)
+        return result
+
+    def shown(self, row: int) -> tuple[str, DepthMap, DepthMap, DepthMap]:
+        """Name of a finished scene, and the depth maps of truth, network and refinement."""
+        block = self.bench.shards.read([row])
+        (scene,) = self.bench.shards.ids([row])
+        prediction = self.bench.predict(block)[0]
+        truth = DepthMap.of_object(block.radial_depth_m[0], block.mask[0] > 0, prediction.frequency_hz)
+        better = DepthMap.read(self.out / SCENES_FOLDER / f"{scene}.exr")
+        name = f"{scene} {self.bench.dataset.scene(scene).object_class.replace('_', ' ')}"
+        return name, truth, prediction, better
+
+    def _in_world(self, found: Refined) -> FoundSolid:
+        axes = np.asarray(self.view.camera_axes)
+        location_m = np.asarray(self.view.camera_location_m) + found.solid.centre_m @ axes
+        turned = Rotation.from_matrix(axes.T @ found.solid.axes)
+        rotation_deg = turned.as_euler("xyz", degrees=True)
+        return FoundSolid(found.solid.shape, found.solid.size_m, _vector(location_m), _vector(rotation_deg))
+
+    def _write(self, result: RefinedScene, better: DepthMap) -> None:
+        folder = self.out / SCENES_FOLDER
+        with whole_file(folder / f"{result.scene}.exr") as partial:  # a link is replaced
+            better.write(partial, {"scene_id": result.scene})
+        write_text(folder / f"{result.scene}.json", json.dumps(asdict(result), indent=1) + "\n")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process needs to know to refine scenes.
+
+    Attributes
+    ----------
+    run, dataset, out : folders.
+    """
+
+    run: Path
+    dataset: Path
+    device: DeviceName
+    family: Family
+    recipe: Recipe
+    out: Path
+
+    def begun(self, predictor: Predictor, dataset: Dataset, shards: Shards) -> Work:
+        """The job with its network and its dataset, which are open.
+
+        Raises
+        ------
+        EvaluationError : the weights of the run are others than when the job began.
+        """
+        if predictor.weights_sha256 != self.recipe.weights_sha256:
+            raise EvaluationError(
+                f"the weights of {self.run} have changed: refine again when its training ends"
+            )
+        view = wall_view(dataset)
+        bench = Bench(predictor.at(view), predictor.config.readout, dataset, shards, progress=False)
+        return Work(bench, view, room_of(dataset), self.family, self.recipe, self.out)
+
+
+def worked(job: Job, work: Work, scenes: Sequence[tuple[int, str]], workers: int) -> Iterator[RefinedScene]:
+    """Results of scenes, each with its row of the shards, in this order.
+
+    Parameters
+    ----------
+    work : `job` in this process.
+    workers : number of processes; with 1, it is this one.
+
+    Raises
+    ------
+    EvaluationError : a worker process was killed.
+    """
+    if min(workers, len(scenes)) <= 1:
+        for row, scene in scenes:
+            yield work.result(row, scene)
+        return
+    workers = min(workers, len(scenes))
+    try:
+        with worker_pool(workers, _start_worker, job) as pool:
+            for result in results_in_order(pool, _work_in, scenes, 2 * workers):
+                if result is not None:
+                    yield result
+    except BrokenProcessPool:
+        raise EvaluationError(KILLED) from None
+
+
+@dataclass(frozen=True)
+class _Worker:
+    """What a worker process keeps between tasks; the work is begun in the first one."""
+
+    job: Job
+    stop: Event
+    begun: list[Work]
+
+
+_workers: list[_Worker] = []  # of this process, if it is a worker: the tasks of a pool share only globals
+
+
+def _start_worker(job: Job, stop: Event) -> None:
+    _workers.append(_Worker(job, stop, []))
+
+
+def _work_in(scene: tuple[int, str]) -> RefinedScene | None:
+    """The result of a scene; None if the command is ending."""
+    worker = _workers[0]
+    if worker.stop.is_set():
+        return None
+    if not worker.begun:
+        job, dataset = worker.job, open_dataset(worker.job.dataset)
+        shards = open_shards(dataset, progress=False)
+        worker.begun.append(job.begun(load(job.run, job.device), dataset, shards))
+    return worker.begun[0].result(*scene)
+
+
+def read_result(out: Path, scene: str) -> RefinedScene | None:
+    """The result of a scene that an earlier command has finished; None if there is none, or it is damaged."""
+    folder = out / SCENES_FOLDER
+    try:
+        content = read_plain(folder / f"{scene}.json", MOST_RESULT_BYTES)
+        result = TypeAdapter(RefinedScene).validate_json(content)
+        DepthMap.read(folder / f"{scene}.exr")
+    except (OSError, ValueError):
+        return None
+    return result if result.scene == scene else None
+
+
+def _numbers(metrics: ImageMetrics) -> SceneNumbers:
+    return SceneNumbers(**asdict(metrics))
+
+
+def _vector(values: Any) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,270 @@
+"""The shape of the house: imports go one way, between its rooms (packages) and between their wings."""
+
+import ast
+import graphlib
+
+import pytest
+from source_tree import ROOMS, imports, needed_by, sources
+
+BASEMENT = {"storage", "processes"}
+MAY_IMPORT = {
+    "storage": set(),
+    "processes": set(),
+    "scenegen": BASEMENT,
+    "itof": BASEMENT,
+    "render": {"scenegen", "itof", *BASEMENT},
+    "model": {"scenegen", "itof", *BASEMENT},
+    "commandline": {"scenegen", "itof", "render", "model", *BASEMENT},
+    "cli": {"commandline"},
+    "night_nlos": {"commandline", "cli"},
+}
+# What each wing may import of its own room, when it is loaded and later. A wing is a package or a module.
+WINGS = {
+    "storage": set(),
+    "processes": set(),
+    "scenegen": set(),
+    "scenegen.making": {"scenegen"},
+    "itof": set(),
+    "itof.exr": {"itof"},
+    "itof.files": {"itof", "itof.exr"},
+    "itof.sensor": {"itof"},
+    "itof.wall": {"itof"},
+    "itof.pictures": {"itof", "itof.wall"},
+    "itof.capture": {"itof", "itof.exr", "itof.files", "itof.wall", "itof.pictures"},
+    "render": set(),
+    "render.options": set(),
+    "render.backend": set(),
+    "render.settings": {"render.options", "render.backend"},
+    "render.transport.method": set(),
+    "render.transport.film": set(),
+    "render.transport.kernels": set(),
+    "render.transport.lights": {"render.transport.kernels"},
+    "render.transport.passes": {
+        f"render.transport.{name}" for name in ("method", "film", "kernels", "lights")
+    },
+    "render.transport": {
+        "render.options",
+        *(f"render.transport.{name}" for name in ("method", "film", "kernels", "lights", "passes")),
+    },
+    "render.edited_scenes": {"render.settings"},
+    "render.rendering": {
+        *("render.transport.method", "render.transport.lights", "render.transport.passes"),
+        *("render.transport", "render.edited_scenes", "render.settings", "render.backend", "render.options"),
+    },
+    "render.farm.claims": set(),  # the locks of scenes, which products take too
+    "render.farm": {
+        *("render.rendering", "render.settings", "render.backend", "render.options"),
+        *("render.edited_scenes", "render.farm.claims"),
+    },
+    "render.products": {"render.farm.claims", "render.settings", "render.options"},
+    "render.pairs": set(),
+    "render.mirror_panels": {"render.transport", "render.products", "render.settings", "render.backend"},
+    "model": set(),
+    "model.settings": set(),
+    "model.device": {"model.settings"},
+    "model.network": {"model.settings"},
+    "model.run_folder": {"model.network", "model.settings"},
+    "model.data": {"model.network", "model.settings"},
+    "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
+    "model.refinement.light": {"model.data", "model.network", "model.device"},
+    "model.training": {
+        *("model.refinement.light", "model.data", "model.network", "model.run_folder", "model.device"),
+        "model.settings",
+    },
+    "model.judging": {
+        *("model.prediction", "model.data", "model.network", "model.run_folder", "model.device"),
+        "model.settings",
+    },
+    "model.judging.report": {"model.judging", "model.prediction", "model.network", "model.run_folder"},
+    "model.judging.evaluation": {
+        *("model.judging.report", "model.judging", "model.prediction", "model.data", "model.run_folder"),
+        "model.settings",
+    },
+    "model.judging.exposures": {
+        *("model.judging", "model.prediction", "model.data", "model.network", "model.run_folder"),
+        "model.settings",
+    },
+    "model.refinement": {
+        *("model.refinement.light", "model.judging", "model.prediction", "model.data", "model.network"),
+        *("model.run_folder", "model.device", "model.settings"),
+    },
+    "commandline": set(),
+    "cli": set(),
+    "night_nlos": set(),
+}
+BLENDER_FILES = "scenegen/making/blender"  # blender.py and blender_*.py
+# Libraries that live in one place: where each may be imported.
+HOME = {
+    "mitsuba": "render/",
+    "drjit": "render/",
+    "mitransient": "render/",
+    "torch": "model/",
+    "click": ("cli.py", "commandline/"),
+    "bpy": BLENDER_FILES,
+    "bmesh": BLENDER_FILES,
+    "mathutils": BLENDER_FILES,
+    "OpenEXR": "itof/exr/library.py",
+    "Imath": "itof/exr/library.py",
+    "h5py": (
+        *("render/products/patient_file.py", "render/products/tal_export.py"),
+        *("render/products/export_rows.py", "itof/files/hdf5_reading.py"),
+        *("render/products/zarr_copy.py", "itof/files/measurement_writing.py"),
+    ),
+    "zarr": "render/products/zarr_copy.py",
+    "numcodecs": "render/products/zarr_copy.py",
+    "imageio_ffmpeg": "render/products/movie_encoding.py",
+    "dask": "render/farm/",
+    "dask_jobqueue": "render/farm/",
+    "distributed": "render/farm/",
+    "tqdm": "processes/progress.py",
+    "jinja2": "model/judging/report/page.py",
+    "plotly": "model/judging/report/page.py",
+    "onnx": "model/prediction/onnx_export.py",
+    "onnxruntime": "model/prediction/onnx_export.py",
+}
+
+
+def wing_of(module):
+    """The most precise entry of WINGS that a module belongs to."""
+    return max((wing for wing in WINGS if f"{module}.".startswith(f"{wing}.")), key=len)
+
+
+def arrows():
+    """(importing, imported) modules of the program, each pair once."""
+    return sorted(
+        {
+            (module, each.module)
+            for module, found in imports().items()
+            for each in found
+            if each.module in imports()
+        }
+    )
+
+
+def test_imports_follow_the_arrows_between_rooms():
+    rooms = [(source, target, source.split(".")[0], target.split(".")[0]) for source, target in arrows()]
+    assert [
+        f"{source} imports {target}"
+        for source, target, room, other in rooms
+        if other != room and other not in MAY_IMPORT[room]
+    ] == []
+
+
+def test_imports_follow_the_arrows_between_wings():
+    wings = [(source, target, wing_of(source), wing_of(target)) for source, target in arrows()]
+    assert [
+        f"{source} imports {target}"
+        for source, target, wing, other in wings
+        if source.split(".")[0] == target.split(".")[0]
+        and source not in ROOMS  # the package itself offers the names of its modules
+        and other not in {wing, *WINGS[wing]}
+    ] == []
+
+
+def test_every_entry_of_the_table_is_there_and_the_table_has_no_circle():
+    assert {wing for wing in WINGS if wing not in imports()} == set()
+    graphlib.TopologicalSorter(WINGS).prepare()
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    sorter = graphlib.TopologicalSorter()
+    for source, target in arrows():
+        sorter.add(source, target)
+    sorter.prepare()  # CycleError names a circle
+
+
+def test_scenes_are_made_by_the_commands_alone():
+    outside = [
+        (source, target)
+        for source, target in arrows()
+        if target.startswith("scenegen.making.")
+        and not source.startswith(("scenegen.making.", "commandline"))
+    ]
+    # The meshes of finished scenes are read for the preview; that module does not need Blender.
+    assert outside == [("render.products.preview", "scenegen.making.meshes")]
+
+
+@pytest.mark.parametrize(
+    ("module", "machinery"),
+    [
+        (
+            "model.settings",
+            ("model.data", "model.device", "model.network", "model.prediction", "model.training"),
+        ),
+        ("itof.sensor.cameras", ("itof.exr", "itof.wall")),
+        ("model.prediction.predictor", ("model.data", "model.training", "model.judging")),
+        ("model.prediction.prediction_files", ("model.data", "model.training", "model.judging")),
+        ("model.prediction.onnx_export", ("model.data", "model.training", "model.judging")),
+        ("itof.capture.sidecar", ("itof.files", "itof.wall", "itof.exr")),
+        ("render.settings", ("render.transport", "render.rendering", "render.farm", "render.products")),
+        ("render.farm.plan", ("render.transport", "render.rendering", "render.products")),
+    ],
+)
+def test_what_is_light_needs_no_machinery(module, machinery):
+    assert sorted(needed for needed in needed_by(module) if needed.startswith(machinery)) == []
+
+
+def test_each_heavy_library_lives_in_its_one_place():
+    wrong = [
+        f"{file} imports {module}"
+        for file, tree in sources().items()
+        for module in imported_names(tree)
+        if not file.startswith(HOME.get(module.split(".")[0], ""))
+    ]
+    assert wrong == []
+
+
+def imported_names(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module
+
+
+def imports_of_blender(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        if any(name.startswith("scenegen.making.blender") for name in names):
+            yield node
+
+
+def test_the_blender_files_are_imported_late_and_by_night_gen_alone():
+    users = [
+        (file, node)
+        for file, tree in sources().items()
+        if not file.startswith(BLENDER_FILES)
+        for node in imports_of_blender(tree)
+    ]
+    assert [(file, node.module) for file, node in users] == [
+        ("scenegen/making/datasets.py", "scenegen.making.blender")
+    ]
+    assert users[0][1].col_offset > 0  # inside a function
+
+
+def test_blender_is_loaded_in_one_place():
+    loading = [
+        file
+        for file, tree in sources().items()
+        if {module.split(".")[0] for module in imported_names(tree)} & {"bpy", "bmesh", "mathutils"}
+    ]
+    assert loading == ["scenegen/making/blender_start.py"]  # this file first sets Blender's settings folder
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import scenegen.making.blender",
+        "from scenegen.making import meshes, blender",
+        "from scenegen.making.blender_start import bpy",
+        "import os, scenegen.making.blender as maker",
+        "from scenegen.making.blender import BlenderMaker",
+    ],
+)
+def test_every_way_to_import_a_blender_file_is_seen(line):
+    assert len(list(imports_of_blender(ast.parse(line)))) == 1

@@ -1,0 +1,47 @@
+"""The blocks of docs/guide/python.md, run word for word as one script."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import image as png
+
+PAGE = Path(__file__).parents[2] / "docs" / "guide" / "python.md"
+BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def test_the_page_imports_public_names_only():
+    ours = re.findall(
+        r"^(?:from|import) ((?:scenegen|itof|render|model)[\w.]*)(?: import (.*))?$", "".join(BLOCKS), re.M
+    )
+    assert {package for package, _ in ours} == {*("scenegen", "itof", "render", "model")}
+    assert not [name for _, names in ours for name in names.split(", ") if name.startswith("_")]
+
+
+@pytest.mark.long
+def test_the_page_goes_from_a_mesh_to_a_picture_of_the_prediction(tmp_path):
+    check = """
+shown_as_object = np.count_nonzero(prediction.mask & truth.mask) / np.count_nonzero(truth.mask)
+assert shown_as_object > 0.3, shown_as_object
+assert other_z.shape == (30, 40, 2) and np.abs(z).min() > 0
+"""
+    (tmp_path / "page.py").write_text("\n".join([*BLOCKS, check]))
+    done = subprocess.run(
+        [sys.executable, "page.py"],
+        cwd=tmp_path,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("150 scenes in corner: ")
+    picture = png.imread(tmp_path / "corner.png")
+    assert picture.shape == (450, 1950, 4)
+    assert all(
+        panel[..., :3].std() > 0.05 for panel in np.split(picture[:, :1948], 4, axis=1)
+    )  # none is blank

@@ -1,0 +1,212 @@
+"""The images of the hidden scene that a linear inverse of the three bounces makes for a network."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from night_commands import night_here
+from safetensors.torch import load_file
+from synthetic_dataset import write_synthetic_dataset
+from training_runs import assert_same_end, settings
+
+from itof import pixel_rays
+from model.data.corner import wall_view
+from model.data.object_depth import object_depth_m
+from model.data.shards import open_shards
+from model.network.bounce_images import PLANES, BounceImages, _means
+from model.network.channels import InputSpec
+from model.network.unet import UNet
+from model.prediction.predictor import load
+from model.refinement.light.inverse import SPREADS, bounce_inverse
+from model.refinement.light.room import room_of
+from model.refinement.light.solids import Solid
+from model.refinement.light.three_bounces import Bounces
+from model.run_folder.run_config import RunError
+from model.settings import TrainSettings
+from model.training.loop import train
+from model.training.refusals import TrainingError
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+HZ = (20e6, 50e6, 60e6)
+INPUTS = InputSpec("residual", HZ, 1.0, (1e-3,) * 5, "measured", "self")
+MEAN_M, SPREAD_M = 2.7, 0.2
+WIDTH, HEIGHT = 40, 30
+SHOWN = {"channels": "residual", "reference": "self", "bounce_images": True}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_synthetic_dataset(tmp_path_factory.mktemp("dataset"), count=8)
+
+
+@pytest.fixture(scope="module")
+def images(dataset):
+    """The images of the paper's corner."""
+    found = BounceImages(*INPUTS.residual_channels, WIDTH, HEIGHT)
+    corner = room_of(dataset), wall_view(dataset)
+    found.load_state_dict(bounce_inverse(found, *corner, INPUTS, (MEAN_M, SPREAD_M)))
+    return found
+
+
+def channels_of(dataset, pixel, depth_m, width=WIDTH, height=HEIGHT, size_m=0.2):
+    """(1, C, H, W) input channels of a sphere whose mirror image is in the middle of a pixel (x, y)."""
+    room, view = room_of(dataset), wall_view(dataset)
+    direct = view.direct_phasors(width, height, HZ)
+    wall = view.expected_wall(direct, HZ)
+    towards = pixel_rays(WIDTH, HEIGHT, room.horizontal_fov_deg)[pixel[1], pixel[0]]
+    sphere = Solid("sphere", (size_m,) * 3, room.points_m(np.array([depth_m]), towards[None])[0], np.eye(3))
+    light = Bounces(room, wall.rays.reshape(-1, 3), width / height, HZ, fine=True)
+    phasor = direct * (1 + light.ratio([sphere], 0.4).reshape(direct.shape))
+    found = INPUTS.apply(phasor, INPUTS.reference_of_image(phasor, wall), is_weighted=True)
+    return torch.as_tensor(found, dtype=torch.float32)[None]
+
+
+@pytest.mark.parametrize(("count", "pixels"), [(4, 12), (3, 7), (5, 5), (6, 4)])
+def test_means_over_parts_of_an_axis_are_integrals_of_what_is_constant_on_each_pixel(count, pixels):
+    values = np.random.default_rng(0).normal(size=pixels)
+    whole = np.concatenate([[0.0], np.cumsum(values)])  # the integral from 0, linear between whole numbers
+    edges = np.linspace(0, pixels, count + 1)
+    expected = np.diff(np.interp(edges, np.arange(pixels + 1), whole)) * count / pixels
+    found = _means(count, pixels, torch.zeros((), dtype=torch.float64)) @ torch.as_tensor(values)
+    assert found.numpy() == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_light_of_a_point_is_the_sum_over_a_fine_lattice_of_the_lit_wall(dataset):
+    room = replace(room_of(dataset), is_rough=False, occluders=())
+    rays, sigma = pixel_rays(8, 6, room.horizontal_fov_deg).reshape(-1, 3), 0.01
+    point = room.points_m(np.array([MEAN_M]), pixel_rays(WIDTH, HEIGHT, 60.0)[15, 20][None])[0]
+    lit = pixel_rays(160, 120, room.horizontal_fov_deg).reshape(-1, 3)
+    solid_angle = (2 * np.tan(np.radians(room.horizontal_fov_deg / 2)) / 160) ** 2 * lit[:, 2] ** 3
+
+    def on_wall(rays):
+        """Distances of wall points, their distances to the point, and cosines towards both."""
+        far = 1 / (rays @ room.plane_per_m)
+        gap = point - rays * far[:, None]
+        leg = np.linalg.norm(gap, axis=1)
+        return far, leg, -rays @ room.wall_normal, gap @ room.wall_normal / leg
+
+    # A projector of 1 W/m² on the film at 1 m sends 1 / cos³ W/sr. The wall reflects hidden light twice and
+    # direct light once, so one factor ρ / π is left.
+    far, leg, _, cosine = on_wall(lit)
+    power = solid_angle / lit[:, 2] ** 3 * room.reflectance / np.pi * cosine / leg**2
+    seen_far, seen_leg, facing, back = on_wall(rays)
+    direct = facing / (rays[:, 2] ** 3 * seen_far**2)
+    expected = []
+    for k in 2 * np.pi * np.array(HZ) / 299_792_458.0:
+        arriving = (power * np.exp(1j * k * (far + leg))).sum()
+        leaving = back / seen_leg**2 * np.exp(1j * k * (seen_leg - seen_far))
+        expected.append(sigma / (4 * np.pi) * arriving * leaving / direct)
+    light = Bounces(room, rays, 8 / 6, HZ, fine=True)
+    found = light.of_points(point[None], sigma, None)[0]
+    error = np.abs(found - np.stack(expected, axis=-1)).max() / np.abs(found).max()
+    assert error < 1e-4  # that of the lattice falls with its square: 1 / 160² is 4e-5
+
+
+@pytest.mark.parametrize("pixel", [(14, 12), (20, 15), (24, 19)])
+def test_the_image_of_a_sphere_is_brightest_where_its_mirror_image_is(dataset, images, pixel):
+    mean = images(channels_of(dataset, pixel, MEAN_M))[0].sum(dim=0)  # over depths
+    y, x = np.unravel_index(int(mean.argmax()), mean.shape)
+    # A pixel of the coarse images is 2.5 pixels wide.
+    assert max(abs(x - pixel[0]), abs(y - pixel[1])) <= 3
+
+
+def test_a_sphere_at_each_depth_is_brighter_at_that_depth_than_one_elsewhere(dataset, images):
+    depths = MEAN_M + SPREAD_M * np.array([-SPREADS, 0.0, SPREADS])
+    seen = [images(channels_of(dataset, (20, 15), depth))[0] for depth in depths]
+    share = torch.stack([each.clamp(min=0).sum(dim=(1, 2)) / each.clamp(min=0).sum() for each in seen])
+    middles = share @ torch.arange(PLANES, dtype=torch.float32)  # the mean depth of what an image shows
+    assert middles[0] < middles[1] < middles[2]
+
+
+def test_images_are_linear_in_the_channels_and_flip_with_them(dataset, images):
+    channels = channels_of(dataset, (16, 11), MEAN_M)
+    once, thrice, flipped = images(channels), images(3 * channels), images(channels.flip(-2))
+    # The corner is level, so it looks the same upside down. What is left is rounding of float32 sums.
+    for found in (thrice / 3, flipped.flip(-2)):
+        assert float((found - once).norm() / once.norm()) < 1e-5
+
+
+def test_the_inverse_is_the_same_to_the_bit_each_time(dataset, images):
+    corner = room_of(dataset), wall_view(dataset)
+    again = bounce_inverse(images, *corner, INPUTS, (MEAN_M, SPREAD_M))
+    for name, array in images.state_dict().items():
+        assert torch.equal(again[name], array), name
+
+
+def test_images_of_another_size_show_the_same(dataset, images):
+    channels = channels_of(dataset, (20, 13), MEAN_M, 80, 60)
+    halved = torch.nn.functional.avg_pool2d(channels, 2)
+    coarse, expected = torch.nn.functional.avg_pool2d(images(channels), 2), images(halved)
+    # Bilinear at four points, and its mean, are bilinear at the middle; the rest is rounding of float32.
+    assert float((coarse - expected).norm() / expected.norm()) < 1e-5
+
+
+def test_a_network_without_weights_for_the_images_is_the_network_without_them(images):
+    plain = UNet(5, 4, block=2, generator=torch.Generator().manual_seed(0))
+    shown = UNet(5, 4, block=2, images=images)
+    weights = shown.state_dict() | plain.state_dict()
+    first = "encoder.0.0.weight"
+    weights[first] = torch.zeros_like(shown.state_dict()[first])
+    weights[first][:, : 5 * 4] = plain.state_dict()[first]
+    shown.load_state_dict(weights)
+    channels = torch.randn(2, 5, 26, 34, generator=torch.Generator().manual_seed(1))
+    assert torch.allclose(shown(channels), plain(channels), atol=1e-5)
+
+
+def test_a_run_keeps_the_images_of_its_corner_and_goes_on_to_the_same_weights(dataset, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    train(dataset, whole, settings(**SHOWN))
+    train(dataset, parts, settings(**SHOWN, max_epochs=1))
+    train(dataset, parts, settings(**SHOWN), resume=True)
+    assert_same_end(whole, parts)
+    assert torch.equal(
+        load(whole).network.images.project, load_file(whole / "best.safetensors")["images.project"]
+    )
+
+
+def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
+    train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
+    predictor, shards, corner = load(tmp_path / "run"), open_shards(dataset), wall_view(dataset)
+    inputs, rows = predictor.config.inputs, shards.rows("train")
+    phasor = shards.read(rows).complex_phasors()
+    wall = corner.expected_wall(shards.reference, HZ)
+    channels = inputs.apply(phasor, inputs.reference_of_image(phasor, wall), is_weighted=True)
+    images = predictor.network.images
+    assert float(images(torch.as_tensor(channels)).std()) == pytest.approx(1, rel=0.01)
+    bare = bounce_inverse(images, room_of(dataset), corner, inputs, object_depth_m(shards, rows))
+    assert torch.equal(images.expand, bare["expand"])
+
+
+def test_the_onnx_file_of_a_network_with_images_is_compared_with_torch_and_written(dataset, tmp_path):
+    train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
+    done = night_here("night-eval", "export", tmp_path / "run", "--out", tmp_path / "model.onnx")
+    assert done.returncode == 0, done.stderr  # it refuses a file that computes something else
+
+
+def test_fine_tuning_in_another_shape_has_the_images_of_the_new_corner(dataset, tmp_path):
+    tall = write_synthetic_dataset(tmp_path / "tall", count=8, width=16, height=24)
+    train(dataset, tmp_path / "run", settings(**SHOWN))
+    train(tall, tmp_path / "tuned", settings(**SHOWN, max_epochs=1), start_from=tmp_path / "run")
+    found = load(tmp_path / "tuned").network.images
+    assert found.shape == (24, 16)
+    assert float(found.project.norm()) > 0
+
+
+def test_images_need_residual_channels_and_one_corner(tmp_path):
+    with pytest.raises(ValueError, match="bounce_images are made from residual channels"):
+        TrainSettings(channels="paper", bounce_images=True)
+    many = write_synthetic_dataset(
+        tmp_path / "many", count=8, camera_spread={"location_m": 0.1, "rotation_deg": 2.0}
+    )
+    with pytest.raises(TrainingError, match="bounce_images are for one corner"):
+        train(many, tmp_path / "run", settings(**SHOWN))
+
+
+def test_a_run_with_images_cannot_be_resumed_or_started_from_without_them(dataset, tmp_path):
+    train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
+    other = settings(**SHOWN | {"bounce_images": False})
+    with pytest.raises(RunError, match="bounce_images"):
+        train(dataset, tmp_path / "run", other, resume=True)
+    with pytest.raises(RunError, match="bounce_images is False"):
+        train(dataset, tmp_path / "new", replace(other), start_from=tmp_path / "run")

@@ -1,0 +1,121 @@
+"""Point clouds: distance of a prediction from the truth, its colours, and their figure."""
+
+import numpy as np
+import pytest
+import trimesh
+from matplotlib.colors import to_rgba
+from scene_views import shown
+
+from itof.pictures.pointclouds import (
+    DISTANCE_COLOURS,
+    FAR_M,
+    TRUTH_COLOUR,
+    distance_colours,
+    distances_m,
+    write_point_cloud,
+)
+from model.judging.evaluation import evaluate
+from model.judging.report.clouds_figure import clouds_figure
+from model.judging.showcase import cloud_of
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def scatters(axes):
+    return [part for part in axes.collections if len(part.get_offsets())]
+
+
+def test_distances_are_those_of_the_nearest_of_all_true_points():
+    rng = np.random.default_rng(3)
+    truth = rng.uniform(-1, 1, (83, 3)).astype(np.float32)
+    points = rng.uniform(-2, 2, (57, 3)).astype(np.float32)
+    every = np.linalg.norm(points[:, None].astype(float) - truth.astype(float), axis=-1)  # (57, 83)
+    # Both are distances of float64 copies of the same float32 numbers.
+    np.testing.assert_allclose(distances_m(points, truth), every.min(axis=1), rtol=1e-12)
+    assert not distances_m(truth[::3], truth).any()
+
+
+def test_a_shift_along_the_rays_of_a_fronto_parallel_plate_is_its_distance():
+    x, y = np.meshgrid(np.arange(9) / 20, np.arange(7) / 20)
+    plate = np.stack([x, y, np.full(x.shape, 3.0)], axis=-1).reshape(-1, 3).astype(np.float32)
+    moved = plate + np.array([0, 0, 0.0625], np.float32)  # exact in float32
+    assert (distances_m(moved, plate) == 0.0625).all()
+
+
+def test_without_a_true_point_every_distance_is_infinite_and_red():
+    points = np.ones((4, 3), np.float32)
+    distance_m = distances_m(points, points[:0])
+    assert np.isinf(distance_m).all()
+    red = (255 * np.array(to_rgba(DISTANCE_COLOURS[-1]))).round()
+    assert (distance_colours(distance_m) == red).all()
+    assert distances_m(points[:0], points).shape == (0,)
+
+
+def test_colours_go_from_green_at_zero_over_yellow_to_red_at_the_far_end():
+    ends = distance_colours(np.array([0.0, FAR_M / 2, FAR_M, 5 * FAR_M]))
+    wanted = [255 * np.array(to_rgba(name)) for name in (*DISTANCE_COLOURS, DISTANCE_COLOURS[-1])]
+    # A colour map has 256 steps: half a step of at most 218 levels over 128 steps is below 1 level.
+    assert np.abs(ends - np.array(wanted)).max() <= 1.5
+    many = distance_colours(np.linspace(0, FAR_M, 50)).astype(int)
+    redness = many[:, 0] - many[:, 1]
+    assert (np.diff(redness) >= 0).all()
+
+
+def test_a_point_cloud_file_holds_the_points_and_the_colour_of_each(tmp_path):
+    points = np.random.default_rng(0).normal(size=(9, 3)).astype(np.float32)
+    colours = distance_colours(np.linspace(0, FAR_M, 9))
+    write_point_cloud(tmp_path / "a.ply", points, colours)
+    read = trimesh.load(tmp_path / "a.ply")
+    np.testing.assert_array_equal(read.vertices.astype(np.float32), points)
+    np.testing.assert_array_equal(read.visual.vertex_colors, colours)
+    write_point_cloud(tmp_path / "b.ply", points)
+    assert b"red" not in (tmp_path / "b.ply").read_bytes()[:300]  # as before, without colours
+
+
+def test_the_figure_shows_truth_blue_and_every_predicted_point_in_the_colour_of_its_distance():
+    scenes = [shown(), shown("000007", truth=((1, 4), (1, 5), 3.1), prediction=((5, 9), (9, 18), 2.9))]
+    figure = clouds_figure(scenes)
+    boxes = [axes for axes in figure.axes if axes.name == "3d"]
+    assert len(boxes) == 2
+    for axes, scene in zip(boxes, scenes, strict=True):
+        (dots,) = scatters(axes)
+        right, forward, up = (np.asarray(values) for values in dots._offsets3d)
+        drawn = np.stack([right, -up, forward], axis=-1)  # camera axes: y is down
+        cloud = cloud_of(scene)
+        points = np.concatenate([cloud.truth, cloud.prediction])
+        inside = (np.abs(points - cloud.centre_m) <= cloud.reach_m).all(axis=1)
+        np.testing.assert_array_equal(drawn, points[inside])
+        distance_m = distances_m(scene.points_pred_m, scene.points_gt_m)
+        blue = np.broadcast_to(to_rgba(TRUTH_COLOUR), (len(cloud.truth), 4))
+        colours = np.concatenate([blue, distance_colours(distance_m) / 255])[inside]
+        np.testing.assert_allclose(dots._facecolors, colours, atol=1e-12)
+        assert f"mean distance {100 * distance_m.mean():.1f} cm" in axes.get_title()
+    (bar,) = (axes for axes in figure.axes if axes.name != "3d")
+    assert bar.get_xlim() == (0.0, 100 * FAR_M)
+    assert bar.get_xlabel() == "prediction: distance from the nearest true point, cm"
+
+
+def test_scenes_without_points_have_a_place_in_the_figure_and_six_scenes_have_two_rows():
+    nothing = ((0, 0), (0, 0), 0.0)
+    scenes = [shown(truth=nothing), shown(prediction=nothing), shown(truth=nothing, prediction=nothing)]
+    figure = clouds_figure([*scenes, *scenes])
+    figure.canvas.draw()
+    boxes = [axes for axes in figure.axes if axes.name == "3d"]
+    said = [axes.get_title().splitlines()[1] for axes in boxes[:3]]
+    assert said == ["no true point", "no predicted point", "no predicted point"]
+    assert [len(scatters(axes)) for axes in boxes[:3]] == [1, 1, 0]
+    assert len({round(axes.get_position().y0, 6) for axes in boxes}) == 2
+
+
+@pytest.mark.long
+def test_the_files_of_a_report_have_the_colours_of_the_distances(seeing_run, closed_form_scenes, tmp_path):
+    evaluate(seeing_run, closed_form_scenes, tmp_path / "report", device="cpu", progress=False)
+    clouds = tmp_path / "report" / "pointclouds"
+    pairs = [(file, clouds / file.name.replace("pred", "gt")) for file in sorted(clouds.glob("*_pred.ply"))]
+    assert pairs  # this network shows objects
+    for predicted, true in pairs:
+        prediction, truth = trimesh.load(predicted), trimesh.load(true)
+        distance_m = distances_m(prediction.vertices, truth.vertices)
+        np.testing.assert_array_equal(prediction.visual.vertex_colors, distance_colours(distance_m))
+        blue = (255 * np.array(to_rgba(TRUTH_COLOUR))).round()
+        assert (truth.visual.vertex_colors == blue).all()

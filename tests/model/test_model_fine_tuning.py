@@ -1,0 +1,248 @@
+"""A training that starts from the weights of another run: what it keeps, what it learns, what it refuses."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from night_commands import night_here, refusal
+from safetensors.torch import load_file
+from synthetic_dataset import write_synthetic_dataset
+from training_processes import TORCHRUN, errors_of, start
+from training_runs import (
+    SEEING,
+    assert_same_end,
+    before_each_network,
+    config_of,
+    edit_config,
+    edit_settings,
+    edit_weights,
+    settings,
+)
+
+import model
+from model.data.shards import open_shards
+from model.prediction.predictor import load
+from model.run_folder.history import read_history
+from model.run_folder.run_config import RunError, read_config
+from model.training.loop import train
+from model.training.refusals import TrainingError
+from scenegen import open_dataset
+from storage import sha256_of
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+STILL = {"learning_rate": 1e-30, "noise_sigma": 0.0, "max_epochs": 1}
+FROZEN = {"encoder": ("encoder.",), "all-but-head": ("encoder.", "upsampling.", "decoder.")}
+
+
+@pytest.fixture(scope="module")
+def wider(tmp_path_factory):
+    """Scenes of another image size than those of `seeing_run`."""
+    return write_synthetic_dataset(tmp_path_factory.mktemp("wider"), count=8, width=36, height=20)
+
+
+@pytest.fixture
+def seeing_copy(seeing_run, tmp_path):
+    return shutil.copytree(seeing_run, tmp_path / "pretrained")
+
+
+def fine(**changes):
+    """Settings with the network of `seeing_run`."""
+    return settings(**SEEING | {"max_epochs": 1} | changes)
+
+
+def test_steps_of_no_length_leave_the_predictions_as_they_are_also_at_another_image_size(
+    seeing_run, closed_form_scenes, wider, tmp_path
+):
+    for name, dataset in (("same", closed_form_scenes), ("wider", wider)):
+        train(dataset, tmp_path / name, fine(**STILL), start_from=seeing_run)
+        before, now = (
+            load_file(seeing_run / "best.safetensors"),
+            load_file(tmp_path / name / "best.safetensors"),
+        )
+        assert before.keys() == now.keys()
+        # Two steps of Adam, each at most a learning rate long; only weights that are 0 can show them.
+        assert max(float((now[key] - weight).abs().max()) for key, weight in before.items()) <= 4e-30
+    phasors = open_shards(closed_form_scenes).complex_phasors([0, 1])
+    old, new = (load(run, "cpu").predict(phasors) for run in (seeing_run, tmp_path / "same"))
+    assert old.mask.any()
+    for name in ("radial_depth_m", "mask", "phasor"):
+        np.testing.assert_array_equal(getattr(new, name), getattr(old, name))
+    assert load(tmp_path / "wider", "cpu").predict(open_shards(wider).complex_phasors([0])).mask.shape == (
+        *(1, 20, 36),
+    )
+
+
+def test_the_run_keeps_the_constants_of_its_start_and_says_where_it_came_from(seeing_run, wider, tmp_path):
+    train(wider, tmp_path / "fine", fine(), start_from=seeing_run)
+    before, now = read_config(seeing_run), read_config(tmp_path / "fine")
+    assert now.inputs == before.inputs
+    train(wider, tmp_path / "scratch", fine())
+    assert read_config(tmp_path / "scratch").inputs != before.inputs  # those of these scenes are others
+    assert config_of(tmp_path / "fine")["started_from"] == {
+        "run": seeing_run.name,
+        "run_id": before.run_id,
+        "sha256": sha256_of(seeing_run / "best.safetensors"),
+    }
+    assert str(seeing_run.parent) not in (tmp_path / "fine" / "run.json").read_text()
+    assert "started_from" not in config_of(tmp_path / "scratch")
+    assert now.run_id != read_config(tmp_path / "scratch").run_id
+
+
+@pytest.mark.long
+def test_the_id_depends_on_the_weights_of_the_start_and_not_on_its_name(seeing_copy, wider, tmp_path):
+    renamed = shutil.copytree(seeing_copy, tmp_path / "renamed")
+    ids = []
+    for index, run in enumerate((seeing_copy, renamed)):
+        train(wider, tmp_path / str(index), fine(**STILL), start_from=run)
+        ids.append(read_config(tmp_path / str(index)).run_id)
+    edit_weights(renamed, lambda _, weight: weight * 1.5)
+    train(wider, tmp_path / "2", fine(**STILL), start_from=renamed)
+    assert ids[0] == ids[1] != read_config(tmp_path / "2").run_id
+
+
+@pytest.mark.parametrize("layers", ["encoder", pytest.param("all-but-head", marks=pytest.mark.long)])
+def test_frozen_layers_keep_every_bit_and_the_others_learn(seeing_run, wider, tmp_path, layers):
+    run = tmp_path / "run"
+    train(wider, run, fine(freeze=layers, ema_decay=0.3, clip_norm=1.0, max_epochs=2), start_from=seeing_run)
+    before, now = load_file(seeing_run / "best.safetensors"), load_file(run / "best.safetensors")
+    same = {name for name, weight in before.items() if torch.equal(weight, now[name])}
+    assert same == {name for name in before if name.startswith(FROZEN[layers])}
+    checkpoint = torch.load(run / "checkpoint.pt", weights_only=True)["network"]
+    assert all(torch.equal(checkpoint[name], before[name]) for name in same)
+
+
+def test_a_resumed_run_needs_its_start_no_more_and_ends_as_if_uninterrupted(seeing_copy, wider, tmp_path):
+    chosen = {"freeze": "encoder", "ema_decay": 0.9, "flip_rows": True}
+    train(wider, tmp_path / "whole", fine(max_epochs=2, **chosen), start_from=seeing_copy)
+    killed = []
+
+    def kill(_: object) -> None:
+        killed.append(True)
+        raise KeyboardInterrupt
+
+    run = tmp_path / "run"
+    with before_each_network(kill), pytest.raises(KeyboardInterrupt):  # before the first step
+        train(wider, run, fine(max_epochs=2, **chosen), start_from=seeing_copy)
+    assert killed
+    shutil.rmtree(seeing_copy)
+    train(wider, run, fine(max_epochs=1, **chosen), resume=True)
+    train(wider, run, fine(max_epochs=2, **chosen), resume=True)
+    assert_same_end(run, tmp_path / "whole")
+    assert read_config(run) == read_config(tmp_path / "whole")
+
+
+def test_a_start_whose_weights_are_lost_cannot_be_resumed(seeing_run, wider, tmp_path):
+    train(wider, tmp_path / "run", fine(), start_from=seeing_run)
+    for name in ("checkpoint.pt", "best.safetensors"):
+        (tmp_path / "run" / name).unlink()
+    with pytest.raises(RunError, match=r"checkpoint.pt is missing, which held the weights of .* --from"):
+        train(wider, tmp_path / "run", fine(max_epochs=2), resume=True)
+
+
+@pytest.mark.long
+def test_a_few_steps_from_a_trained_network_beat_as_many_from_random_weights(rendered_copy, tmp_path):
+    course = SEEING | {"batch_size": 4, "noise_sigma": 0.0}
+    points = write_synthetic_dataset(tmp_path / "points", count=48, width=24, height=18)
+    train(points, tmp_path / "pretrained", settings(**course | {"max_epochs": 40}))
+    rendered, miou = open_dataset(rendered_copy), {}
+    for name, begin in (("fine", tmp_path / "pretrained"), ("scratch", None)):
+        # Four scenes, so a step an epoch. The pretrained network may die at once of a step of 2e-3.
+        ten_steps = settings(**course | {"max_epochs": 10, "learning_rate": 5e-4})
+        train(rendered, tmp_path / name, ten_steps, start_from=begin)
+        history = read_history(tmp_path / name)
+        miou[name] = history["validation_miou"][int(np.argmin(history["validation_loss"]))]
+    assert miou["fine"] > miou["scratch"]
+    # An empty prediction scores half the share of the background, which is below 1/2.
+    assert miou["fine"] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (lambda run: (run / "best.safetensors").write_bytes(b"x" * 500), "damaged"),
+        (lambda run: (run / "best.safetensors").unlink(), "no epoch was finished"),
+        (lambda run: edit_weights(run, lambda _, weight: weight * float("nan")), "NaN or infinite"),
+        (lambda run: edit_weights(run, lambda name, weight: weight[:1]), "another architecture"),
+        (lambda run: (run / "run.json").write_text("{}"), "run.json"),
+        (lambda run: edit_config(run, run_id="0" * 64), "belongs to another run"),
+        (lambda run: shutil.rmtree(run), "there is no folder"),
+    ],
+)
+def test_a_damaged_start_is_refused_and_nothing_is_written(seeing_copy, wider, tmp_path, damage, sentence):
+    damage(seeing_copy)
+    said = refusal("night-train", wider.root, "--out", tmp_path / "run", "--from", seeing_copy)
+    assert sentence in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_command_takes_the_network_of_the_start_and_the_training_of_the_preset(
+    seeing_copy, wider, tmp_path
+):
+    edit_settings(seeing_copy, mask_threshold=0.4)
+    out = tmp_path / "run"
+    quick = ("--max-epochs", 1, "--device", "cpu", "--no-progress")
+    start = ("night-train", wider.root, "--out", out, "--from", seeing_copy)
+    done = night_here(*start, *quick, "--freeze", "encoder", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["epochs"] == 1
+    chosen = config_of(out)["settings"]
+    assert (chosen["width"], chosen["mask_threshold"], chosen["frequencies_hz"]) == (
+        8,
+        0.4,
+        [20e6, 50e6, 60e6],
+    )
+    assert (chosen["batch_size"], chosen["learning_rate"], chosen["freeze"]) == (16, 1e-3, "encoder")
+    done = night_here("night-train", wider.root, "--out", out, "--resume", "--max-epochs", 1)
+    assert done.returncode == 0, done.stderr
+    for given, sentence in (
+        (("--block", 0), r"block is 0, but .* was trained with 1"),
+        (("--width", 16), r"width is 16, but .* was trained with 8"),
+        (("--channels", "paper"), r"channels is paper, but .* was trained with paper\+residual"),
+        (("--frequencies", "20"), r"frequencies_hz is \(20000000.0,\), but"),
+        (("--resume",), "--from begins a new run, and --resume goes on with one"),
+    ):
+        said = refusal("night-train", wider.root, "--out", tmp_path / "no", "--from", seeing_copy, *given)
+        assert re.search(sentence, said), said
+    assert "begins with random weights" in refusal(
+        "night-train", wider.root, "--out", tmp_path / "no", "--freeze", "encoder"
+    )
+    assert not (tmp_path / "no").exists()
+
+
+def test_python_has_the_same_refusals(seeing_run, finished_copy, wider, tmp_path_factory):
+    tmp_path = tmp_path_factory.mktemp("refused")
+    inherited = model.fine_tuning_settings(seeing_run)
+    assert (inherited["width"], inherited["frequencies_hz"]) == (8, (20e6, 50e6, 60e6))
+    preset = model.training_preset("default")[0]
+    assert (preset["optimiser"], (preset | inherited)["optimiser"]) == ("muon", "adam")  # that of the run
+    with pytest.raises(RunError, match="width is 2, but"):
+        train(wider, tmp_path / "run", settings(), start_from=seeing_run)
+    with pytest.raises(RunError, match="leave out resume or start_from"):
+        train(wider, finished_copy, settings(), resume=True, start_from=seeing_run)
+    with pytest.raises(TrainingError, match="freeze encoder keeps layers of a trained run"):
+        train(wider, tmp_path / "run", fine(freeze="encoder"))
+
+
+def test_a_dataset_at_other_frequencies_is_refused(seeing_run, tmp_path):
+    for name, hz, sentence in (
+        ("fewer", [20e6, 50e6], "60 MHz is not among 20, 50 MHz"),
+        ("lower", [10e6, 20e6, 50e6, 60e6], "predicts at 20 MHz, and the first frequency of .* is 10 MHz"),
+    ):
+        tables = {"itof": {"frequencies_hz": hz}}
+        dataset = write_synthetic_dataset(tmp_path / name, count=6, **tables)
+        with pytest.raises((RunError, TrainingError), match=sentence):
+            train(dataset, tmp_path / "run", fine(), start_from=seeing_run)
+
+
+@pytest.mark.long
+def test_two_processes_start_from_a_trained_network_and_keep_its_frozen_layers(seeing_run, wider, tmp_path):
+    run = tmp_path / "run"
+    changes = SEEING | {"max_epochs": 1, "freeze": "encoder"}
+    process = start(wider, run, "--from", seeing_run, launcher=TORCHRUN, **changes)
+    assert process.wait() == 0, errors_of(run).read_text()
+    before, now = load_file(seeing_run / "best.safetensors"), load_file(run / "best.safetensors")
+    same = {name for name, weight in before.items() if torch.equal(weight, now[name])}
+    assert same == {name for name in before if name.startswith("encoder.")}

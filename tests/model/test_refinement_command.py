@@ -1,0 +1,234 @@
+"""``night-eval refine``: depth maps before and after, resumed, refused and damaged."""
+
+import csv
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import psutil
+import pytest
+from night_commands import night_here, refusal, words
+from PIL import Image
+from render_runs import wait_for, workers_of
+from threadpoolctl import threadpool_limits
+from training_runs import edit_weights
+
+from itof import DepthMap
+from model.judging.refusals import EvaluationError
+from model.prediction.predictor import load
+from model.refinement.judged_refinement import refine_split
+from model.refinement.refined_figure import write_refined_figure
+from model.run_folder.shipped import run_folder
+from scenegen import open_dataset
+from storage import OutsideError
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def dataset(make_dataset):
+    """Two scenes that the shipped network has not seen, rendered at its size."""
+    made = make_dataset(
+        {
+            "dataset": {"count": 2, "seed": 91, "test_fraction": 1.0, "validation_fraction": 0.0},
+            "hidden_object": {"shapes": ["cube", "sphere"], "composite_fraction": 0.0},
+        }
+    )
+    done = night_here(
+        *("night-render", made.root, "--product", "itof", "--resolution", "40x30", "--error", 0.005)
+    )
+    assert done.returncode == 0, done.stderr
+    return made.root
+
+
+@pytest.fixture(scope="module")
+def refined(dataset, tmp_path_factory):
+    """Folder of a finished refinement, for reading only; and what the command printed."""
+    out = tmp_path_factory.mktemp("refined") / "out"
+    done = night_here("night-eval", "refine", "night-40x30", dataset, "--out", out, "--device", "cpu")
+    assert done.returncode == 0, done.stderr
+    return out, done.stdout
+
+
+@pytest.fixture
+def copied(refined, tmp_path):
+    return shutil.copytree(refined[0], tmp_path / "out")
+
+
+def test_solids_are_found_and_their_depth_maps_are_better(refined, dataset):
+    out, said = refined
+    result = json.loads((out / "refined.json").read_text())
+    assert "2 of 2 solids are accepted" in said
+    assert result["accepted_count"] == 2
+    for scene in result["scenes"]:
+        (true,) = open_dataset(dataset).scene(scene["scene"]).hidden_objects
+        assert scene["solid"]["shape"] == true.shape
+        # A centimetre is 0.4 % of the way, four times the error that 0.5 % of noise leaves.
+        np.testing.assert_allclose(scene["solid"]["location_m"], true.location_m, atol=0.01)
+        assert scene["refined"]["depth_mae_m"] < 0.01
+    assert result["refined"]["depth_mae_m"]["mean"] < result["network"]["depth_mae_m"]["mean"]
+    with Image.open(out / "refined.png") as picture:
+        assert picture.size[0] > 500
+    rows = list(csv.DictReader((out / "refined.csv").read_text().splitlines()))
+    assert [row["scene"] for row in rows] == ["000000", "000001"]
+    assert float(rows[0]["refined_depth_mae_m"]) == result["scenes"][0]["refined"]["depth_mae_m"]
+
+
+def test_the_depth_maps_are_those_that_were_judged(refined, dataset):
+    out, _ = refined
+    for scene in json.loads((out / "refined.json").read_text())["scenes"]:
+        written = DepthMap.read(out / "scenes" / f"{scene['scene']}.exr")
+        truth = DepthMap.read(dataset / "renders" / scene["scene"] / "mirrored.exr")
+        error_m = np.abs(written.radial_depth_m - truth.radial_depth_m).mean(dtype=np.float64)
+        assert error_m == pytest.approx(scene["refined"]["depth_mae_m"], rel=1e-4, abs=1e-7)
+
+
+def test_what_is_finished_is_kept_and_what_is_damaged_is_made_again(copied, refined, dataset):
+    first = (copied / "scenes" / "000000.json").stat().st_mtime_ns
+    (copied / "scenes" / "000001.json").write_text('{"scene": "000001"')
+    (copied / "refined.json").unlink()
+    done = night_here("night-eval", "refine", "night-40x30", dataset, "--out", copied, "--device", "cpu")
+    assert done.returncode == 0, done.stderr
+    assert (copied / "scenes" / "000000.json").stat().st_mtime_ns == first
+    for name in ("refined.json", "refined.csv", "scenes/000001.json", "scenes/000001.exr"):
+        assert (copied / name).read_bytes() == (refined[0] / name).read_bytes()
+
+
+def test_a_fit_that_is_not_accepted_leaves_the_networks_depth_map(dataset, tmp_path):
+    done = night_here(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu"),
+        *("--largest-misfit", 1e-6, "--json"),
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["accepted_count"] == 0
+    for scene in result["scenes"]:
+        assert scene["network"] == scene["refined"]
+        assert scene["misfit"] > 1e-6
+
+
+def test_other_options_need_another_folder(copied, dataset):
+    sentence = refusal(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", copied, "--device", "cpu"),
+        *("--unknown", "sizes"),
+    )
+    assert sentence == (
+        f"{copied} holds results of another run, of its earlier weights, of another dataset or of other "
+        "options: choose another --out, or delete it"
+    )
+
+
+def test_results_of_earlier_weights_of_a_run_are_not_taken_for_its_own(copied, dataset, tmp_path):
+    run = tmp_path / "night-40x30"
+    shutil.copytree(run_folder("night-40x30"), run)
+    edit_weights(run, lambda name, weight: 1.01 * weight)
+    assert load(run).config.run_id == load("night-40x30").config.run_id
+    with pytest.raises(EvaluationError, match="of its earlier weights"):
+        refine_split(run, open_dataset(dataset), copied, device="cpu", progress=False)
+
+
+def test_only_the_objects_of_another_preset_are_tried(dataset, tmp_path):
+    objects = tmp_path / "objects.toml"
+    words = ['shapes = ["sphere"]', "composite_fraction = 0.0", "size_m = { sphere = [0.5, 0.5, 0.5] }"]
+    objects.write_text("\n".join(["[hidden_object]", *words]))
+    done = night_here(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu"),
+        *("--objects", objects),
+    )
+    assert done.returncode == 0, done.stderr
+    scenes = json.loads((tmp_path / "out" / "refined.json").read_text())["scenes"]
+    assert [scene["solid"]["shape"] for scene in scenes] == ["sphere", "sphere"]
+    assert all(scene["solid"]["size_m"] == [0.5, 0.5, 0.5] for scene in scenes)
+    assert not any(scene["accepted"] for scene in scenes)  # a cube, and a larger sphere
+
+
+def test_a_command_that_was_killed_at_its_start_can_be_repeated(copied, refined, dataset):
+    shutil.rmtree(copied / "scenes")
+    refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
+    assert_same_results(copied, refined[0])
+
+
+def test_a_folder_with_other_files_is_left_alone(dataset, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    sentence = refusal("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path, "--device", "cpu")
+    assert sentence == f"{tmp_path} holds other files: choose another --out"
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_links_in_a_started_folder_lead_nowhere(copied, dataset, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    (copied / "scenes" / "000000.json").unlink()
+    (copied / "scenes" / "000000.exr").unlink()
+    (copied / "scenes" / "000000.exr").symlink_to(tmp_path / "mine.txt")
+    refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert not (copied / "scenes" / "000000.exr").is_symlink()
+    (copied / "scenes").rename(tmp_path / "elsewhere")
+    (copied / "scenes").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OutsideError, match="symbolic link to a place outside"):
+        refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
+
+
+@pytest.mark.parametrize("name", ["misfit", "difference"])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
+def test_what_is_accepted_is_a_number_above_0(dataset, tmp_path, name, value):
+    sentence = refusal(
+        *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out"),
+        *(f"--largest-{name}={value}",),
+    )
+    assert sentence.startswith(f"the largest {name} is a number above 0, got ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_datasets_that_cannot_be_refined_are_named(dataset, make_dataset, seven_renders, tmp_path):
+    command = ("night-eval", "refine", "night-40x30")
+    out = ("--out", tmp_path / "out", "--device", "cpu")
+    assert "wrong resolution between stages" in refusal(*command, seven_renders, *out)
+    assert "has no train split" in refusal(*command, dataset, *out, "--split", "train")
+    many = make_dataset({"dataset": {"count": 1, "test_fraction": 1.0}, "camera_spread": {"location_m": 0.1}})
+    assert "each scene of" in refusal(*command, many.root, *out)
+    assert not (tmp_path / "out").exists()
+
+
+def assert_same_results(out, other):
+    for file in sorted(other.rglob("*")):
+        if file.is_file() and file.suffix in (".json", ".csv", ".exr"):
+            assert (out / file.relative_to(other)).read_bytes() == file.read_bytes(), file
+
+
+@pytest.mark.long
+def test_results_do_not_depend_on_the_number_of_workers(refined, dataset, tmp_path):
+    given = ("--out", tmp_path / "out", "--device", "cpu", "--workers", 2)
+    done = night_here("night-eval", "refine", "night-40x30", dataset, *given)
+    assert done.returncode == 0, done.stderr
+    assert_same_results(tmp_path / "out", refined[0])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("threads", [1, 2])
+def test_results_do_not_depend_on_the_number_of_threads(refined, dataset, tmp_path, threads):
+    with threadpool_limits(threads):
+        done = night_here(
+            *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu")
+        )
+    assert done.returncode == 0, done.stderr
+    assert_same_results(tmp_path / "out", refined[0])
+
+
+@pytest.mark.long
+def test_workers_end_when_their_command_is_killed(dataset, tmp_path):
+    given = ("night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu", "--workers", 2)
+    command = subprocess.Popen(words("night-eval", "refine", *given))
+    wait_for(lambda: len(workers_of(command)) == 2)
+    workers = workers_of(command)
+    command.kill()
+    command.wait()
+    assert not psutil.wait_procs(workers, timeout=60)[1]
+
+
+def test_a_mesh_of_any_name_is_drawn(refined, dataset, tmp_path):
+    depth_map = DepthMap.read(refined[0] / "scenes" / "000000.exr")
+    write_refined_figure(tmp_path / "a.png", [("000001 mesh:price$^$.ply", *(depth_map,) * 3)])
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size[0] > 200

@@ -1,0 +1,126 @@
+"""Writers of whole files and folders that are killed at a chosen point, and what they leave.
+
+As a program (``kill_points.py KIND PATH``), replaces PATH once, between two calls that stand out in a log of
+`strace`.
+"""
+
+import itertools
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+from storage import remove_leftovers, whole_files, whole_folder, write_text
+
+# The calls that may change the disk or a lock.
+CALLS = ("mkdir", "openat", "write", "fsync", "rename", "renameat2", "unlink", "unlinkat", "rmdir", "flock")
+CALLS += ("chmod", "fchmodat")
+# Of these, Python tells its audit hooks.
+CHANGES = frozenset({"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.chmod"})
+EVENTS = CHANGES | {"open", "os.scandir", "os.listdir", "ctypes.dlsym", "fcntl.flock"}
+
+
+def write_folder(path, texts):
+    """Write a whole folder of files; the names may have a folder in them."""
+    with whole_folder(path) as partial:
+        for name, text in texts.items():
+            (partial / name).parent.mkdir(exist_ok=True)
+            (partial / name).write_text(text)
+
+
+FOLDERS = ({"a": "old", "figures/b": "old"}, {"a": "new", "clouds/c": "new"})
+# By kind: how to write it, an old and a new one. In two steps: as on file systems that cannot exchange names.
+KINDS = {
+    "file": (write_text, "old", "new"),
+    "folder": (write_folder, *FOLDERS),
+    "folder in two steps": (write_folder, *FOLDERS),
+}
+
+
+def contents(path):
+    """What is at a path: text of a file, texts by name of a folder's files, None where there is nothing."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return {file.relative_to(path).as_posix(): file.read_text() for file in files}
+    return path.read_text() if path.exists() else None
+
+
+def names(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def after_each_kill(kind, path):
+    """What is at `path` after a kill before each of `EVENTS`, and after the recovery that follows."""
+    write, old, new = KINDS[kind]
+    if kind == "folder in two steps":
+        whole_files.exchange = lambda *_: False
+    for number in itertools.count():
+        write(path, old)
+        if not killed_before(number, EVENTS, lambda: write(path, new)):
+            return
+        left = contents(path)
+        remove_leftovers(path.parent, path.name)  # what every command does at its start
+        yield left, contents(path), names(path.parent)
+
+
+def killed_before(number, events, action, below=""):
+    """Whether `action`, in a copy of this process, was killed before its event `number` of `events`.
+
+    Only events at paths in the folder `below` count. A copy of a small process takes milliseconds.
+    """
+    child = os.fork()
+    if child == 0:
+        calls = itertools.count()
+
+        def kill(event, arguments):
+            if event in events and str(arguments[0]).startswith(str(below)) and next(calls) == number:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        sys.addaudithook(kill)
+        try:
+            action()
+        except BaseException:
+            os._exit(1)
+        os._exit(0)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert status in (0, -signal.SIGKILL)
+    return status != 0
+
+
+def strace(*options, kind, path, log):
+    """Replace `path` under strace, and return the exit code, -9 after a kill."""
+    traced = f"trace={','.join((*CALLS, 'access'))}"
+    done = subprocess.run(
+        ["strace", "-o", log, "-e", traced, *options, sys.executable, __file__, kind, path],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"},
+    )
+    assert done.returncode in (0, -signal.SIGKILL), done.stderr
+    return done.returncode
+
+
+def system_calls(log):
+    """(name, number) of each call between ``access("/begin")`` and ``access("/end")`` in a log of `strace`.
+
+    The number counts the calls of this name, as ``inject=NAME:when=NUMBER`` of strace does.
+    """
+    counts, found, inside = Counter(), [], False
+    for name, rest in re.findall(r"^(\w+)\((.*)", log.read_text(), re.MULTILINE):
+        counts[name] += 1
+        if name == "access":
+            inside = '"/begin"' in rest or (inside and '"/end"' not in rest)
+        elif inside:
+            found.append((name, counts[name]))
+    return found
+
+
+if __name__ == "__main__":
+    write, _, new = KINDS[sys.argv[1]]
+    os.access("/begin", os.F_OK)
+    write(Path(sys.argv[2]), new)
+    os.access("/end", os.F_OK)

@@ -1,0 +1,18 @@
+"""Records of renders that a test has changed."""
+
+import dataclasses
+
+from scenegen import FileRecord, RenderRecord, read_record, write_record
+from storage import sha256_of
+
+NEW = RenderRecord(recipe="{}", attributes={}, files={})
+
+
+def record_anew(folder, recipe=None):
+    """Record the EXR files of a render folder as they are now, as a program would that wrote them wrong."""
+    files = {
+        file.name: FileRecord(bytes=file.stat().st_size, sha256=sha256_of(file))
+        for file in folder.glob("*.exr")
+    }
+    record = read_record(folder) or NEW
+    write_record(folder, dataclasses.replace(record, files=files, recipe=recipe or record.recipe))
