@@ -1,6 +1,6 @@
 """Other networks and losses than those of NIGHT: train and judge each, beside NIGHT's own.
 
-This makes the table of docs/experiments.md again, and is the place to try the next idea. Each row changes one
+This makes the table of notebook/experiments.md again, and is the place for new ideas. Each row changes one
 thing against the preset `five-levels` without images of the three bounces. Interrupted runs continue, and
 finished runs are only judged. Run, for all or for some:
 

@@ -61,14 +61,14 @@ NotNegative = Annotated[float, Field(ge=0)]
 class TrainSettings:
     """Everything that decides a training run.
 
-    docs/paper.md says which defaults are the paper's; the preset ``paper`` has all of its values.
+    docs/science/paper.md says which defaults are the paper's; the preset ``paper`` has all of its values.
     Options of ``night-train`` are made of these fields: the text below a field is its description there.
     """
 
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Modulation frequencies that the network sees; by default all of the dataset's."""
     channels: Channels = "paper+residual"
-    """Network input. With paper alone the network learns slowly (docs/results.md). residual+wall also says
+    """Network input. With paper alone it learns slowly (notebook/results.md). residual+wall also says
     where the wall of each image is, for datasets of many corners; it needs reference self."""
     reference: Reference = "geometry"
     """Direct return in the residual channels: computed from camera and wall, or a capture of the empty corner
@@ -82,7 +82,7 @@ class TrainSettings:
     """Levels of the U-Net's encoder; the paper: 5."""
     negative_slope: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Slope of the ReLUs below 0. With 0, as in the paper, a long training leaves dead units
-    (docs/experiments.md)."""
+    (notebook/experiments.md)."""
     block: Annotated[int, Field(ge=0, le=64)] = 1
     """Pixels per side of a position of the U-Net; the paper: 1. 0: the power of two, at most 8, with which an
     image is about 20 positions wide."""
@@ -115,7 +115,7 @@ class TrainSettings:
     """What of the output says whether a pixel shows the object; depth as in the paper."""
     mask_gradient: MaskGradient = "amplitude"
     """With mask_from depth and a loss with iou: what moves the mask in the training. With depth, as in the
-    released code, the training ends at no object (docs/results.md)."""
+    released code, the training ends at no object (notebook/results.md)."""
     mask_threshold: Positive = 0.5
     """Amplitude of the output from which on a pixel shows the object."""
     mask_depth_m: NotNegative = 0.0
@@ -124,7 +124,7 @@ class TrainSettings:
     """Components of the output below this become 0 before mask and depth are taken."""
     optimiser: Optimiser = "adam"
     """Adam, as in the paper; or Muon for the inner convolutions and Adam for the other weights, which has a
-    smaller error after the same training (docs/experiments.md)."""
+    smaller error after the same training (notebook/experiments.md)."""
     learning_rate: Positive = 1e-4
     """Step size of the optimiser. With both, the root mean square of a weight's step is about a fifth of it;
     the first steps of Adam are as large as it."""

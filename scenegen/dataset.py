@@ -1,4 +1,4 @@
-"""The dataset folder, through which all stages exchange their files (docs/files.md).
+"""The dataset folder, through which all stages exchange their files (docs/reference/files.md).
 
 It contains ``dataset.json``, ``scenes/<id>/{scene.json,scene.xml,mirrored.xml,*.ply}``, ``renders/<id>/...``
 and ``shards/...``; ids are zero-padded indices. No path of a `Dataset` leads out of its folder.

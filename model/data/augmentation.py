@@ -129,7 +129,7 @@ class Augmentation:
 
     Attributes
     ----------
-    flip_rows : flip top and bottom with probability 1/2. An exact symmetry (docs/design.md, Symmetry).
+    flip_rows : flip top and bottom with probability 1/2; exact (docs/science/design.md, Symmetry).
     flip_columns : flip left and right with probability 1/2. Not a symmetry.
     rotation_deg : rotate by up to this angle in either direction, degrees. Not a symmetry.
     translation : shift by up to this fraction of width and height in either direction. Not a symmetry.
@@ -141,7 +141,7 @@ class Augmentation:
         amplitude at the first frequency.
     channel_noise_sigma : standard deviation of Gaussian noise on every input channel, in the channel's own
         unit. In the paper's channels, 1 is about 170 times the hidden light of a pixel; in the residual
-        channels, which have unit variance, it is as much as the hidden light (docs/training.md).
+        channels, which have unit variance, it is as much as the hidden light (notebook/training.md).
     channel_noise_fraction : probability with which an image gets the noise of the channels.
     change_fraction : if it is not 0, an image gets at most one change of `KINDS`, each with this probability;
         `channel_noise_fraction` is then 1. With 0, changes are independent, and an image may get several.

@@ -8,7 +8,7 @@
 ``piece.json``          SHA-256 of these arrays and of the renders from which they were made
 ======================  ====================================================================================
 
-Phasors are float32, because half floats cannot represent the hidden 0.2 % of the signal (docs/design.md,
+Phasors are float32: half floats cannot represent the hidden 0.2 % of the signal (docs/science/design.md,
 Number types).
 """
 

@@ -102,7 +102,7 @@ class Readout:
         about ten times that of the mean absolute error on every object pixel and drives amplitudes to 1e17.
         A mask from the depth has this gradient, too: the depth of a pixel appears and disappears with its
         amplitude, at the dead zone. The gradient of the depth itself (`mask_gradient`) only turns phases, and
-        with it trainings end at "no object" (docs/results.md).
+        with it trainings end at "no object" (notebook/results.md).
 
         *Of a depth.* The gradient is that of the depth in metres, in the pixels whose mask would
         change if the gradient were followed far enough: those that show the object and should not, and the

@@ -30,7 +30,7 @@ class UNet(nn.Module):
 
     *Blocks.* With `block` > 1, each block of that many pixels squared becomes one position of the U-Net, and
     all its values are channels of it; the U-Net's output becomes pixels again before the head's 3x3
-    convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/experiments.md), and
+    convolutions. Hidden light is smooth over the wall, so nothing is lost (notebook/experiments.md), and
     the U-Net has a quarter of the multiplications with 2. The paper's network has 1.
 
     *Rectifiers.* A ReLU that is 0 in every pixel of every image gets no gradient any more: such units are
@@ -53,7 +53,7 @@ class UNet(nn.Module):
     is constant over the image.
 
     *Number types.* Under `torch.autocast` the first block and the head compute in float32. A half float can
-    represent neither the hidden 0.2 % of an input channel (docs/design.md, Number types) nor phase
+    represent neither the hidden 0.2 % of an input channel (docs/science/design.md, Number types) nor phase
     differences of a few thousandths of a radian.
 
     Parameters

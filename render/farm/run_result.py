@@ -49,7 +49,7 @@ class RunResult:
         return lines
 
     def as_data(self, dataset: Dataset, settings: RenderSettings) -> dict[str, Any]:
-        """The result as plain data (docs/files.md, results as JSON)."""
+        """The result as plain data (docs/reference/files.md, results as JSON)."""
         return {
             "renders": str(dataset.renders),
             "rendered": self.rendered,

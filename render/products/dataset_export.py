@@ -1,4 +1,4 @@
-"""Export of a rendered dataset as one HDF5 file or one Zarr folder, which others read (docs/files.md)."""
+"""Export of a rendered dataset as one HDF5 file or Zarr folder, for others (docs/reference/files.md)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Export:
     arrays: dict[str, tuple[int, ...]]
 
     def as_data(self) -> dict[str, Any]:
-        """The result as plain data (docs/files.md, results as JSON)."""
+        """The result as plain data (docs/reference/files.md, results as JSON)."""
         return {**asdict(self), "file": str(self.file)}
 
     def sentences(self) -> list[str]:
@@ -68,7 +68,7 @@ def export_dataset(
 ) -> Export:
     """Write phasors, ground truth, parameters, splits and provenance of all scenes into one new file.
 
-    docs/files.md describes the file. Every rendered file is compared with its record before it is read. One
+    docs/reference/files.md describes it. Rendered files are compared with their records before reading. One
     scene is in memory at a time. The same dataset gives the same bytes with the same versions of NIGHT, h5py
     and HDF5, or zarr and numcodecs.
 

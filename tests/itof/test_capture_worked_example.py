@@ -167,7 +167,7 @@ def test_solids_that_explain_what_the_camera_has_measured_are_where_the_objects_
 def test_fine_tuning_on_pairs_learns_them_and_costs_others_little(make_dataset, tmp_path):
     """Of a network that has never seen a camera, with little light, in a corner that is not its own.
 
-    Whether others gain is a question for more scenes than a test has (docs/real-cameras.md).
+    Whether others gain is a question for more scenes than a test has (docs/guide/cameras.md).
     """
     small = FINE.replace("320", "160").replace("240", "120").replace("power_w = 100", "power_w = 2")
     _, pairs = measured(make_dataset, tmp_path, 18, small, 0.01)

@@ -1,4 +1,4 @@
-"""Benchmarks of docs/accuracy.md and docs/experiments.md: curves, bounds, library baseline, gallery."""
+"""Benchmarks of docs/science/accuracy.md and notebook/: curves, bounds, library baseline, gallery."""
 
 import re
 import runpy

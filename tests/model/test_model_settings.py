@@ -66,7 +66,7 @@ def test_a_bad_name_to_extend_is_refused_with_the_file_that_has_it(tmp_path, nam
 
 
 def test_the_page_of_files_names_every_key_of_run_json():
-    page = (PRESETS.parent.parent / "docs" / "files.md").read_text()
+    page = (PRESETS.parent.parent / "docs" / "reference" / "files.md").read_text()
     section = page.split("### run.json")[1].split("###")[0]
     nested = {"inputs": InputSpec, "geometry": WallView, "started_from": StartingWeights}
     names = {field.name for part in (RunConfig, *nested.values()) for field in fields(part)} - {"inputs"}

@@ -56,7 +56,7 @@ def test_arrays_and_attributes_are_those_of_the_hdf5_file(folder, exported):
 
 
 def test_zarr_and_numpy_alone_read_it_and_find_damage(folder, tmp_path):
-    page = (ROOT / "docs" / "datasets.md").read_text()
+    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
     shutil.copytree(folder, tmp_path / "paper.zarr")
     lines = re.search(r"^```python\n(import json\n\nimport zarr\n.*?)^```", page, re.M | re.S)[1]
     code = f"""{lines}
@@ -85,7 +85,7 @@ print(sorted(root["splits"].array_keys()), root["phasors"].attrs["axes"], root.a
 def test_the_same_dataset_gives_the_same_bytes_and_sha256sum_the_same_hash(folder, seven_renders, tmp_path):
     again = export_dataset(open_dataset(seven_renders), tmp_path / "again.zarr")
     assert (again.bytes, again.sha256) == digest_of_folder(folder)
-    line = "find . -type f | LC_ALL=C sort | xargs sha256sum | sha256sum"  # of docs/files.md
+    line = "find . -type f | LC_ALL=C sort | xargs sha256sum | sha256sum"  # of docs/reference/files.md
     listed = subprocess.run(["/bin/sh", "-c", line], cwd=folder, capture_output=True, text=True, check=True)
     assert listed.stdout.split()[0] == again.sha256
     everything = b"".join(file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file())
