@@ -18,8 +18,8 @@ from render.products.export_scenes import RefusedSceneError, SceneSource
 from render.products.zarr_copy import copy_to_zarr, digest_of_folder
 from scenegen import Dataset
 from storage import PathLike, sha256_of
-from storage.extras import need
 from storage.byte_size import size
+from storage.extras import need
 
 _ZARR = ".zarr"
 _ENDINGS = (".h5", ".hdf5", _ZARR)
