@@ -13,7 +13,7 @@ PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist worksteal
 # One process, which runs two commands at a time and has one seed and one table of results.
 FUZZ := NIGHT_FUZZ_SEED=$${NIGHT_FUZZ_SEED:-$$(date +%s)} $(BIN)/pytest tests/trust/fuzz
 
-.PHONY: setup demo judge test test-long test-thorough fuzz lint clean
+.PHONY: setup demo judge docs test test-long test-thorough fuzz lint clean
 
 setup: $(VENV)/.installed
 
@@ -62,5 +62,9 @@ judge: setup
 	$(BIN)/night-render $(JUDGE) --product itof --resolution 80x60 --workers 2
 	$(BIN)/night-eval night-80x60 $(JUDGE) --out $(JUDGE)_report
 
+# The documentation as a site, in site/; needs no network after the set-up.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 clean:
-	rm -rf $(DEMO)
+	rm -rf $(DEMO) site

@@ -15,10 +15,11 @@ from render.products.conversion import ExportError, exported_file, exported_fold
 from render.products.export_format import FORMAT, FORMAT_VERSION
 from render.products.export_rows import Rows, new_rows
 from render.products.export_scenes import RefusedSceneError, SceneSource
-from render.products.zarr_copy import copy_to_zarr, digest_of_folder, refuse_without_zarr
+from render.products.zarr_copy import copy_to_zarr, digest_of_folder
 from scenegen import Dataset
 from storage import PathLike, sha256_of
 from storage.byte_size import size
+from storage.extras import need
 
 _ZARR = ".zarr"
 _ENDINGS = (".h5", ".hdf5", _ZARR)
@@ -83,7 +84,8 @@ def export_dataset(
     ------
     ExportError : without `partial`, a scene is not rendered, given up, bad, damaged, or rendered with other
         settings than the dataset. No scene can be exported. The file exists, has another ending, or cannot
-        be written. A folder is wanted, and zarr is not installed.
+        be written.
+    MissingPackageError : a Zarr folder is wanted, and the extra ``export`` is not installed.
     """
     file = Path(out)
     _check_name(file)
@@ -130,7 +132,7 @@ def _hdf5_rows(file: Path, most: int) -> Iterator[Rows]:
 @contextmanager
 def _zarr_rows(folder: Path, most: int) -> Iterator[Rows]:
     """Rows of an HDF5 file that becomes the new Zarr folder `folder`."""
-    refuse_without_zarr(folder)
+    need("export", ("zarr",), "a Zarr folder")
     with exported_folder(folder) as unfinished:
         file = unfinished.with_suffix(".h5")  # in a folder that is removed at the end
         with new_rows(file, most) as rows:
