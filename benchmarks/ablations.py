@@ -114,7 +114,7 @@ def judged(
     metrics = []
     for block in feed.in_order(BATCH):
         found = predictor.predict(
-            change(block.complex_phasors()[..., places]),
+            change(block.phasors[..., places]),
             fields_of_view_deg=shards.fields_of_view_deg(block.rows),
         )
         images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)

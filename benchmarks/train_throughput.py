@@ -122,12 +122,11 @@ def random_block(width: int, height: int, count: int) -> RowBlock:
     direct = VIEW.direct_phasors(width, height, FREQUENCIES_HZ)
     opl_m = rng.uniform(6, 9, (count, height, width, 1))
     phasor = direct + 2e-3 * np.abs(direct) * np.exp(1j * opl_m * phase_per_metre(FREQUENCIES_HZ))
-    components = np.concatenate([phasor.real, phasor.imag], axis=-1)
     mask = (rng.random((count, height, width)) < 1 / 31).astype(np.uint8)
     return RowBlock(
         tuple(range(count)),
-        np.ascontiguousarray(np.moveaxis(components, -1, 1), np.float32),
-        (mask[:, None] * np.array([0.6, 0.8])[:, None, None]).astype(np.float32),
+        phasor.astype(np.complex64),
+        (mask * (0.6 + 0.8j)).astype(np.complex64),
         (2.5 * mask).astype(np.float32),
         mask,
     )
@@ -160,10 +159,11 @@ def plain_step(config: RunConfig, block: RowBlock, device: torch.device) -> Call
 
     def run() -> None:
         part = block.take(rng.permutation(len(block))[: config.settings.batch_size].tolist())
-        z = part.complex_phasors()
+        z = part.phasors
         noise = rng.standard_normal((*z.shape, 2)) @ np.array([1, 1j])
         channels = config.inputs.apply(z + 1e-4 * np.abs(z[..., :1]) * noise, reference)
-        arrays = [channels, part.target, part.radial_depth_m, part.mask.astype(np.float32)]
+        target = np.stack([part.target.real, part.target.imag], axis=1)
+        arrays = [channels, target, part.radial_depth_m, part.mask.astype(np.float32)]
         for index in np.flatnonzero(rng.random(len(part)) < 0.5):
             for array in arrays:
                 array[index] = np.flip(array[index], axis=-2).copy()

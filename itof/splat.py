@@ -12,7 +12,7 @@ nothing can divide it out. docs/science/renderer.md (Time-resolved output) deriv
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +33,7 @@ def splat_transfer(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) ->
     return np.sinc(_wavelengths(frequency_hz, bin_width_m)) ** _ORDER[splat]
 
 
-def splat_residue(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) -> Any:
+def splat_residue(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) -> NDArray[np.float64]:
     """Largest error of Φ x that bins cause, relative to the light in them.
 
     Φ has divided by `splat_transfer`. With x = f w / c, what is left of a return at the worst place between

@@ -125,7 +125,7 @@ def shards(closed_form_scenes):
 @pytest.fixture(scope="session")
 def phasors(shards):
     """(3, H, W, F) phasors of the first closed-form scenes."""
-    return shards.complex_phasors([0, 1, 2])
+    return shards.read([0, 1, 2]).phasors
 
 
 @pytest.fixture(scope="session")

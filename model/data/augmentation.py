@@ -242,7 +242,7 @@ class Augmentation:
 
     def __call__(self, rows: RowBlock, maker: BatchMaker, draws: Draws) -> Batch:
         """The batch of `rows`, each row changed by its draws, then measured by the camera of `maker`."""
-        phasor = maker.measured(rows)
+        phasor = rows.phasors
         if self.least_reflectance < 1:
             known = rows.reference if rows.reference is not None else maker.reference(phasor)
             direct = None if known is None else maker.inputs.parted(known)[0]

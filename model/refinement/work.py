@@ -85,7 +85,7 @@ class Work:
         used = bench.predictor.config.inputs.places(bench.shards.manifest.frequencies_hz)
         wall = self.view.expected_wall(bench.shards.reference[..., used], frequencies_hz)
         prediction = bench.predict(block)[0]
-        phasor = block.complex_phasors()[0][..., used]
+        phasor = block.phasors[0][..., used]
         entry = bench.dataset.scene(scene)
         found = refined(phasor, prediction, wall, self.room, self.family, seed=entry.seed)
         expected_m = bench.predictor.expected_mae_m(prediction)

@@ -13,9 +13,8 @@ import torch
 
 from itof.wall.wall_view import WallPlaceError
 from model.data.channel_scaling import fit_input_spec, largest_shift_m
-from model.data.class_balance import BalanceError, background_per_object
 from model.data.corner import many_corners_problem, wall_view
-from model.data.object_depth import object_depth_m
+from model.data.object_pixels import BalanceError, background_per_object, object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
 from model.run_folder.history import HISTORY_FILE, EpochRecord
@@ -104,7 +103,7 @@ def train(
         channels are kept, except the largest shift of the wall. A resumed run no longer needs this folder.
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
-        (`model.data.order`). A resumed run keeps the windows of its start.
+        (`model.data.feed`). A resumed run keeps the windows of its start.
 
     Raises
     ------

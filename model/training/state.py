@@ -18,8 +18,7 @@ from model.data.augmentation import Augmentation
 from model.data.batches import BatchMaker
 from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed, window_rows
-from model.data.fit_cache import FitCache
-from model.data.scene_walls import SceneWalls
+from model.data.scene_walls import FitCache, SceneWalls
 from model.data.shards import Shards
 from model.run_folder.history import HISTORY_FILE, EpochRecord, compared_losses, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of

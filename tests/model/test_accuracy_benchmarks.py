@@ -123,7 +123,7 @@ def test_networks_are_judged_on_every_corner(self_run, closed_form_scenes):
     assert ours.startswith(f"| {self_run} | {closed_form_scenes.root.name} | ")
     shards = open_shards(closed_form_scenes)
     block = shards.read(shards.rows("test"))
-    found = load(self_run, "cpu").predict(block.complex_phasors())
+    found = load(self_run, "cpu").predict(block.phasors)
     images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
     summary = summarise([image_metrics(*image) for image in images])
     assert float(ours.split("|")[3]) == pytest.approx(100 * summary.depth_mae_m.mean, abs=0.01)

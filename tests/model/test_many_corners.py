@@ -115,7 +115,7 @@ def test_the_wall_channel_is_the_inverse_distance_of_each_scenes_wall(corners):
     view = wall_view(corners)
     assert view.camera_location_m == corners.preset.camera.location_m
     spec = fit_input_spec("residual+wall", shards, rows, reference="self", view=view)
-    z = shards.complex_phasors(rows)
+    z = shards.read(rows).phasors
     wall = view.expected_wall(shards.reference, spec.frequencies_hz)
     channels = spec.apply(z, spec.reference_for(z, wall))
     assert channels.shape[1] == spec.channel_count == 6
@@ -134,7 +134,7 @@ def test_the_wall_channel_is_the_inverse_distance_of_each_scenes_wall(corners):
 def test_beside_pixels_without_light_the_residual_channels_are_zero_and_the_wall_goes_on(corners):
     shards, view = open_shards(corners), wall_view(corners)
     spec = fit_input_spec("residual+wall", shards, range(12), reference="self", view=view)
-    z = shards.complex_phasors([0])
+    z = shards.read([0]).phasors
     z[..., 18:, :] = 0  # the middle wall, which is dark
     wall = view.expected_wall(shards.reference, spec.frequencies_hz)
     channels = spec.apply(z, spec.reference_for(z, wall))
@@ -157,7 +157,7 @@ def test_torch_gives_the_channels_of_numpy_and_flips_turn_the_wall_over(corners)
     assert block.reference.shape[-1] == 4
     assert maker.reference_bytes * len(rows) == block.reference.nbytes
     batch = maker.batch(block)
-    z = shards.complex_phasors(rows)
+    z = shards.read(rows).phasors
     numpy = spec.apply(z, spec.reference_for(z, wall))
     # A dozen operations in float32, each with one rounding of the light, over the channel's deviation.
     rounding = 12 * np.finfo(np.float32).eps / np.array(spec.residual_scale)
@@ -205,7 +205,7 @@ def test_a_dataset_elsewhere_is_judged_with_its_own_wall(run, tmp_path):
     )
     shards, seen = open_shards(away), []
     moved = load(run, "cpu").at(wall_view(away))
-    z = shards.complex_phasors([0])
+    z = shards.read([0]).phasors
     for predictor in (moved, load(run, "cpu")):
         channels = predictor._channels(z, predictor.wall)
         mean, spread = predictor.config.inputs.wall_scale_per_m

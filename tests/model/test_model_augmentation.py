@@ -51,7 +51,8 @@ def test_an_augmented_pair_is_what_augmenting_by_hand_gives():
         noisy = bright + 1e-4 * np.abs(bright[..., :1]) * noise
         residual = residual_channels(noisy, direct) / np.array([1e-3, 2e-3, 3e-3])[:, None, None]
         expected = np.concatenate([network_channels(noisy, 0.3), residual])  # (C, H, W)
-        truths = [rows.target[index], rows.radial_depth_m[index], rows.mask[index].float()]
+        target = torch.view_as_real(rows.target[index]).movedim(-1, 0)  # (2, H, W)
+        truths = [target, rows.radial_depth_m[index], rows.mask[index].float()]
         if draws.coins[index, 0]:
             expected, truths = expected[:, ::-1], [truth.flip(-2) for truth in truths]
         # Phasors are complex64: 1e-7 of 1, divided by the residual's scale of 1e-3.
@@ -86,7 +87,7 @@ def test_a_flip_of_the_rows_is_that_of_the_measurement_itself():
     np.testing.assert_allclose(direct, direct[::-1], rtol=1e-12)
     always = replace(draws_of(5), coins=torch.ones(5, 2, dtype=torch.bool))
     flipped = Augmentation(flip_rows=True)(rows, maker, always)
-    upside_down = maker.batch(rows, rows.complex_phasors().flip(1))
+    upside_down = maker.batch(rows, rows.phasors.flip(1))
     # The reference is complex64, alike above and below to 1e-7, over the residual's scale of 1e-3.
     torch.testing.assert_close(flipped.channels, upside_down.channels, rtol=0, atol=5e-4)
 
@@ -168,7 +169,7 @@ def test_flip_touches_rows_alone():
 def test_sensor_noise_has_its_deviation_on_every_component_and_is_each_images_own():
     rows, _, _, _ = measured_rows(200)
     sigma, draws = 1e-3, draws_of(200)
-    phasor = rows.complex_phasors()
+    phasor = rows.phasors
     noise = Augmentation(noise_sigma=sigma).measured(phasor, draws) - phasor
     relative = torch.view_as_real(noise / phasor[..., :1].abs())  # (N, H, W, F, 2)
     # The deviation of n = 12000 values has a relative error of 1 / sqrt(2 n) = 0.65 %; 4.5 of those.
@@ -222,7 +223,7 @@ def test_noise_of_the_channels_is_not_smoothed_by_a_rotation():
 def test_noise_of_the_channels_and_of_the_phasors_are_different_numbers():
     rows, _, _, _ = measured_rows(200)
     draws = draws_of(200)
-    phasor = rows.complex_phasors()
+    phasor = rows.phasors
     sensor = Augmentation(noise_sigma=1.0).measured(phasor, draws) - phasor
     relative = torch.view_as_real(sensor / phasor[..., :1].abs()).flatten()[: 200 * HEIGHT * WIDTH]
     channels = torch.zeros(200, 4, HEIGHT, WIDTH)

@@ -12,7 +12,7 @@ from training_runs import assert_same_end, settings
 
 from itof import pixel_rays
 from model.data.corner import wall_view
-from model.data.object_depth import object_depth_m
+from model.data.object_pixels import object_depth_m
 from model.data.shards import open_shards
 from model.network.bounce_images import PLANES, BounceImages, _means
 from model.network.channels import InputSpec
@@ -169,7 +169,7 @@ def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
     train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
     predictor, shards, corner = load(tmp_path / "run"), open_shards(dataset), wall_view(dataset)
     inputs, rows = predictor.config.inputs, shards.rows("train")
-    phasor = shards.read(rows).complex_phasors()
+    phasor = shards.read(rows).phasors
     wall = corner.expected_wall(shards.reference, HZ)
     channels = inputs.apply(phasor, inputs.reference_of_image(phasor, wall), is_weighted=True)
     images = predictor.network.images

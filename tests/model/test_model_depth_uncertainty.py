@@ -147,7 +147,7 @@ def test_expected_errors_are_those_of_the_validation_scenes_on_average(
     unsure_run, closed_form_scenes, shards
 ):
     block = shards.read(shards.rows("validation"))
-    found = load(unsure_run, "cpu").predict(block.complex_phasors())
+    found = load(unsure_run, "cpu").predict(block.phasors)
     on_object = block.mask > 0
     depth_m = depth_from_phase(np.angle(found.phasor) % (2 * np.pi), 20e6)  # also where no object is found
     actual_m = np.abs(depth_m - block.radial_depth_m)[on_object]
@@ -208,7 +208,7 @@ def test_a_trained_network_gets_a_head_for_its_errors_and_keeps_its_depth(
     before, now = (load_file(run / "best.safetensors") for run in (plain_run, tmp_path / "run"))
     # On other scenes, another factor on the logits would fit; the mask keeps its own.
     assert all(torch.equal(weight, now[name]) for name, weight in before.items())
-    z = open_shards(closed_form_scenes).complex_phasors([0, 1])
+    z = open_shards(closed_form_scenes).read([0, 1]).phasors
     old, new = (load(run, "cpu").predict(z) for run in (plain_run, tmp_path / "run"))
     np.testing.assert_array_equal(old.mask, new.mask)
     np.testing.assert_allclose(old.radial_depth_m, new.radial_depth_m, atol=1e-5)

@@ -75,7 +75,7 @@ def test_a_trained_baseline_beats_no_object_in_overlap(direct_run, shards):
     predictor = load(direct_run, "cpu")
     assert predictor.network.head[-1].out_channels == 1
     block = shards.read(shards.rows("train"))
-    found = predictor.predict(block.complex_phasors(), shards.reference)
+    found = predictor.predict(block.phasors, shards.reference)
     images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
     own = summarise([image_metrics(*image) for image in images])
     empty = summarise([no_object_metrics(*p) for p in zip(block.radial_depth_m, block.mask, strict=True)])
@@ -122,7 +122,7 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
     (file,) = (tmp_path / "maps").glob("*.exr")
     written = DepthMap.read(file)
     predictor = load(direct_run, "cpu")
-    expected = predictor.predict(shards.complex_phasors([0]))[0]
+    expected = predictor.predict(shards.read([0]).phasors)[0]
     np.testing.assert_allclose(written.radial_depth_m, expected.radial_depth_m, atol=1e-5)
     assert np.array_equal(written.mask, expected.mask)
 
@@ -130,7 +130,7 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
     done = night_here("night-eval", "export", direct_run, "--out", model)
     assert done.returncode == 0, done.stderr
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
-    channels = predictor.config.inputs.apply(shards.complex_phasors([0]), predictor.reference)
+    channels = predictor.config.inputs.apply(shards.read([0]).phasors, predictor.reference)
     (output,) = session.run(["radial_depth_m"], {"channels": channels})
     with torch.no_grad():
         ours = predictor.network(torch.from_numpy(channels))

@@ -65,12 +65,12 @@ def test_steps_of_no_length_leave_the_predictions_as_they_are_also_at_another_im
         assert before.keys() == now.keys()
         # Two steps of Adam, each at most a learning rate long; only weights that are 0 can show them.
         assert max(float((now[key] - weight).abs().max()) for key, weight in before.items()) <= 4e-30
-    phasors = open_shards(closed_form_scenes).complex_phasors([0, 1])
+    phasors = open_shards(closed_form_scenes).read([0, 1]).phasors
     old, new = (load(run, "cpu").predict(phasors) for run in (seeing_run, tmp_path / "same"))
     assert old.mask.any()
     for name in ("radial_depth_m", "mask", "phasor"):
         np.testing.assert_array_equal(getattr(new, name), getattr(old, name))
-    assert load(tmp_path / "wider", "cpu").predict(open_shards(wider).complex_phasors([0])).mask.shape == (
+    assert load(tmp_path / "wider", "cpu").predict(open_shards(wider).read([0]).phasors).mask.shape == (
         *(1, 20, 36),
     )
 

@@ -35,7 +35,7 @@ def test_the_onnx_file_computes_what_torch_computes(seeing_run, closed_form_scen
     metadata = session.get_modelmeta().custom_metadata_map
     predictor = load(seeing_run, "cpu")
     assert TypeAdapter(RunConfig).validate_json(metadata[METADATA]) == predictor.config
-    phasors = open_shards(closed_form_scenes).complex_phasors([0, 1, 2])
+    phasors = open_shards(closed_form_scenes).read([0, 1, 2]).phasors
     channels = predictor.config.inputs.apply(phasors, predictor.reference)
     (node,) = session.get_inputs()
     assert (node.name, node.shape[1:], node.type) == (INPUT, list(channels.shape[1:]), "tensor(float)")

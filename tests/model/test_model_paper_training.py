@@ -51,7 +51,7 @@ def test_the_preset_of_the_paper_has_the_numbers_of_text_and_released_code():
 def test_the_run_records_the_ratio_and_the_amplitude_of_its_training_scenes(paper_run, shards):
     block = shards.read(shards.rows("train"))
     truth = block.mask > 0
-    amplitude = np.abs(block.complex_phasors()[..., 0])
+    amplitude = np.abs(block.phasors[..., 0])
     config = read_config(paper_run)
     assert config.background_per_object == (~truth).sum() / truth.sum()
     everything = (
@@ -110,7 +110,7 @@ def test_training_scenes_of_one_class_alone_are_refused_in_one_sentence(tmp_path
 def test_run_files_of_before_these_settings_predict_as_before(closed_form_scenes, shards, tmp_path):
     run = tmp_path / "run"
     train(closed_form_scenes, run, settings(max_epochs=1))
-    phasors = shards.complex_phasors(shards.rows("test"))
+    phasors = shards.read(shards.rows("test")).phasors
     now = load(run, "cpu").predict(phasors)
     known = config_of(run)
     new = {
@@ -134,7 +134,7 @@ def test_a_run_can_be_judged_by_masks_of_the_depth_and_of_the_amplitude(
 ):
     shards = open_shards(closed_form_scenes)
     block = shards.read(shards.rows("test"))
-    output = load(paper_run, "cpu").predict(block.complex_phasors(), shards.reference).phasor
+    output = load(paper_run, "cpu").predict(block.phasors, shards.reference).phasor
     phase = np.angle(output) % (2 * np.pi)
     everywhere_m = phase * load(paper_run, "cpu").config.readout.metres_per_radian
     masks = {"depth": everywhere_m > 0, "amplitude": np.abs(output) >= 0.5}

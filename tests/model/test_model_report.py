@@ -126,7 +126,7 @@ def test_a_run_at_one_frequency_is_judged_on_a_dataset_of_three(dataset, tmp_pat
     shards = open_shards(dataset)
     block = shards.read(shards.rows("test"))
     seen = load(tmp_path / "run", "cpu").predict(
-        block.complex_phasors()[..., 1:2],
+        block.phasors[..., 1:2],
         shards.reference[..., 1:2],  # 20, *50*, 60 MHz
     )
     views = zip(seen.radial_depth_m, seen.mask, block.radial_depth_m, block.mask, strict=True)

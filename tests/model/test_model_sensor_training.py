@@ -103,7 +103,7 @@ def test_batches_are_measured_and_their_references_fitted_to_the_measurement():
     without = Augmentation()(bare, plain, draws)
     residual = slice(5, None)
     change = (with_camera.channels - without.channels)[:, residual]
-    noise = camera.camera.spread(plain.measured(rows)).max() / 0.05
+    noise = camera.camera.spread(rows.phasors).max() / 0.05
     assert 0 < change.abs().median() < noise / 1e-3  # noise, not half a radian of drift over a scale of 1e-3
     again = Augmentation()(bare, drifting, draws)
     torch.testing.assert_close(again.channels, with_camera.channels, rtol=0, atol=0)
@@ -115,8 +115,8 @@ def test_validation_scenes_are_measured_by_their_row():
     measuring = replace(maker, camera=camera)
     block = replace(rows, **{name: getattr(rows, name).numpy() for name in ARRAYS})
     seen = measuring.upload(block)
-    expected = camera(maker.measured(rows), rows.rows)
-    torch.testing.assert_close(measuring.measured(seen), expected)
+    expected = camera(rows.phasors, rows.rows)
+    torch.testing.assert_close(seen.phasors, expected)
     torch.testing.assert_close(seen.reference, measuring.reference(expected))
     augmented = measuring.upload_to_augment(block)
     assert augmented.reference is None

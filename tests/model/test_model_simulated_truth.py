@@ -57,7 +57,7 @@ def test_the_truth_of_the_simulator_is_a_phasor_of_amplitude_1_with_the_depth_of
     np.testing.assert_allclose(light.radial_depth_m[seen], centre_m[seen], rtol=1e-6)  # float32
     assert not light.radial_depth_m[~seen].any()
     expected = seen * phasor_of_return(centre_m, 20e6)
-    np.testing.assert_allclose(light.target[:, 0] + 1j * light.target[:, 1], expected, atol=1e-6)
+    np.testing.assert_allclose(light.target, expected, atol=1e-6)
     assert (light.radial_depth_m != shape.radial_depth_m).any()  # by up to a quarter of a bin
 
 
