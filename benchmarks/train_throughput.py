@@ -33,7 +33,7 @@ from model.data.batches import BatchMaker
 from model.data.rows import RowBlock
 from model.device import choose_device
 from model.network.channels import InputSpec
-from model.network.loss import NightLoss
+from model.paper.loss import NightLoss
 from model.run_folder.run_config import RunConfig
 from model.settings import TrainSettings
 from model.training.processes import Processes

@@ -9,19 +9,13 @@ import re
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, TypeVar
 
 import click
 
 from itof.sensor.cameras import load_sensor
-from itof.sensor.settings import SensorSettings
-from model.settings import training_fields
 from scenegen import Dataset
 from scenegen.preset import MOST_BOUNCES
-
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
 
@@ -118,47 +112,22 @@ class Sensor(click.ParamType):
         return load_sensor(value)
 
 
+class Sectioned(click.Option):
+    """An option that the help shows under a heading of its own."""
+
+    def __init__(self, *args: Any, section: str, **attributes: Any) -> None:
+        super().__init__(*args, **attributes)
+        self.section = section
+
+
+def option(section: str, *names: str, **attributes: Any) -> Callable[[_Command], _Command]:
+    """`click.option` under a heading."""
+    return click.option(*names, cls=Sectioned, section=section, **attributes)
+
+
 def options(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
     """Several options as one decorator, in their order."""
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
-
-
-def _option_type(field: FieldInfo) -> click.ParamType:
-    """The type of the option of a setting, with its bounds."""
-    if get_origin(field.annotation) is Literal:
-        return click.Choice(get_args(field.annotation))
-    if field.annotation is bool:
-        return click.BOOL
-    number, *metadata = _number_of(field)
-    if number is SensorSettings:
-        return Sensor()
-    if number not in (int, float):
-        return Megahertz()
-    names = ("ge", "gt", "le", "lt")
-    bounds = {name: getattr(item, name) for item in metadata for name in names if hasattr(item, name)}
-    kind = click.IntRange if number is int else Number
-    return kind(
-        min=bounds.get("ge", bounds.get("gt")),
-        max=bounds.get("le", bounds.get("lt")),
-        min_open="gt" in bounds,
-        max_open="lt" in bounds,
-    )
-
-
-def _number_of(field: FieldInfo) -> list[Any]:
-    """The type of a setting that may be None without that, then what bounds it."""
-    wanted = [kind for kind in get_args(field.annotation) if kind is not NoneType]
-    if len(wanted) != 1:
-        return [field.annotation, *field.metadata]
-    number, *marks = get_args(wanted[0]) if get_origin(wanted[0]) is Annotated else (wanted[0],)
-    return [number, *(item for mark in marks for item in getattr(mark, "metadata", [mark]))]
-
-
-def _training_option(name: str, field: FieldInfo) -> Callable[[_Command], _Command]:
-    """The option of a training setting; not given, it is None."""
-    flag = name.removesuffix("_hz").replace("_", "-")
-    words = f"--{flag}/--no-{flag}" if field.annotation is bool else f"--{flag}"
-    return click.option(name, words, type=_option_type(field), default=None, help=field.description)
 
 
 def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
@@ -166,7 +135,6 @@ def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
     return [dataset.entry(scene_id).id for scene_id in dict.fromkeys(only)] or dataset.ids()
 
 
-TRAINING = options(*(_training_option(name, field) for name, field in training_fields().items()))
 DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
 DEVICES = click.Choice(["auto", "cpu", "cuda"])
 DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)

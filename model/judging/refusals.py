@@ -30,7 +30,7 @@ def refuse_other_masks(
     trained: RunConfig, mask_from: MaskSource | None, mask_threshold: float | None
 ) -> None:
     """Refuse masks that the outputs of a network do not give."""
-    if trained.settings.target == "depth" and (mask_from == "amplitude" or mask_threshold is not None):
+    if trained.settings.target.kind == "depth" and (mask_from == "amplitude" or mask_threshold is not None):
         raise EvaluationError(
             "the network predicts depth and no amplitude: leave --mask-from and --mask-threshold out"
         )

@@ -232,7 +232,7 @@ class Predictor:
         self.network.eval()
         images = torch.from_numpy(channels).to(self.device)
         output = self.network(images)  # (N, C, H, W)
-        if self.config.settings.average_flip:
+        if self.config.settings.run.average_flip:
             output = average_with_flip(self.network, images, output)
         if not bool(output.isfinite().all()):
             raise RunError(

@@ -26,7 +26,7 @@ from model.training.uncertainty_fit import UncertaintyFactors, UncertaintyFit
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5, has_uncertainty=True)
-PLAIN = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "width": 8, "batch_size": 2, "block": 2}
+PLAIN = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2, "block": 2}
 PLAIN |= {"learning_rate": 2e-3, "mask_threshold": 0.2, "clip_norm": 1.0, "max_epochs": 15}
 UNSURE = PLAIN | {"uncertainty": True}
 

@@ -9,9 +9,9 @@ from night_commands import night_here, refusal
 from training_runs import FLIP, assert_same_end, config_of, settings
 
 from itof import DepthMap, phasor_of_return
-from model.network.loss import NightLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.network.readout import Readout
+from model.paper.loss import NightLoss
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.settings import TrainSettings

@@ -10,10 +10,10 @@ from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, before_each_network, checkpoint, config_of, settings
 
 from model.data.augmentation import KINDS, UNCHANGED, Augmentation
-from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
+from model.paper.enlarged_set import EnlargedSet
 from model.settings import TrainSettings
 from model.training.loop import train
 

@@ -12,7 +12,7 @@ from model.training.finer_pixels import with_finer_pixels
 from model.training.loop import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-PROBABLE = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "uncertainty": True, "width": 4}
+PROBABLE = FLIP | {"target": "mask+depth", "uncertainty": True, "width": 4}
 
 
 def finer(image, times):

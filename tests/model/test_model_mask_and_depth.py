@@ -26,7 +26,7 @@ from model.training.refusals import TrainingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5)
-COURSE = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "width": 8, "batch_size": 2}
+COURSE = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2}
 COURSE |= {"learning_rate": 2e-3, "average_flip": True, "mask_threshold": 0.2, "block": 2}
 
 
