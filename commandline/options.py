@@ -139,46 +139,54 @@ DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
 DEVICES = click.Choice(["auto", "cpu", "cuda"])
 DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)
 ONLY = click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
+AGAIN = ("failed", "changed")
+ACCEPTED = ("edited", "lost-light", "small-disk")
 COUNT = click.IntRange(1, 1_000_000_000)  # of what is computed one by one: more takes for ever
+_METHOD, _RUN = "Method", "Run"
 RENDER_SETTINGS = options(
-    click.option("--method", help="many-light (the default), or path: slower, for any scene at all."),
     click.option(
         "--product",
         type=click.Choice(["itof", "transient", "both"]),
         help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
     ),
-    click.option("--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
-    click.option("--lights", type=COUNT, help="many-light: surface points, not --error."),
-    click.option(
+    click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
+    option(_METHOD, "--method", help="many-light (the default), or path: slower, for any scene at all."),
+    option(_METHOD, "--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
+    option(_METHOD, "--lights", type=COUNT, help="many-light: surface points, not --error."),
+    option(
+        _METHOD,
         "--spp",
         type=COUNT,
         help="path: paths per pixel (4096); the hidden signal's error is 10 to 15 / sqrt(spp).",
     ),
-    click.option("--max-bounces", type=click.IntRange(1, MOST_BOUNCES), help="Instead of the preset's."),
-    click.option("--device", type=DEVICES, help=DEVICE_HELP),
-    click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
+    option(_METHOD, "--max-bounces", type=click.IntRange(1, MOST_BOUNCES), help="Instead of the preset's."),
+    option(_METHOD, "--device", type=DEVICES, help=DEVICE_HELP),
 )
 RENDER_RUN = options(
-    click.option(
-        "--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs."
+    option(
+        _RUN, "--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs."
     ),
-    click.option("--scheduler", metavar="ADDRESS", help="Render on a Dask cluster, like tcp://host:8786."),
-    click.option("--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file."),
-    click.option("--retry-failed", is_flag=True, help="Try scenes again that failed before."),
-    click.option(
-        "--replace", is_flag=True, help="Render scenes again that were rendered with other settings."
+    option(
+        _RUN,
+        "--cluster",
+        metavar="WHERE",
+        help="Render on a Dask cluster: one that runs, like tcp://host:8786, or a dask-jobqueue file.",
     ),
-    click.option(
-        "--accept-edited",
-        is_flag=True,
-        help="Render scenes whose files are not those that night-gen made, from scene.json and the meshes.",
+    option(
+        _RUN,
+        "--again",
+        multiple=True,
+        type=click.Choice(AGAIN),
+        help="Render scenes again that failed before, or that have changed settings; may be repeated.",
     ),
-    click.option(
-        "--accept-lost-light",
-        is_flag=True,
-        help="Write transients although hidden light arrives outside the time axis.",
+    option(
+        _RUN,
+        "--accept",
+        multiple=True,
+        type=click.Choice(ACCEPTED),
+        help="Start although scenes are edited (from scene.json and the meshes), or hidden light arrives "
+        "outside the time axis, or the disk looks too small; may be repeated.",
     ),
-    click.option("--ignore-space", is_flag=True, help="Start although the disk looks too small."),
 )
 MASK_THRESHOLD = click.option(
     "--mask-threshold",

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import torch
 
-from model.settings import DeviceName, Precision
+from model.settings.run import DeviceName, Precision
 from storage import NightError
 
 

@@ -26,7 +26,7 @@ from model.data.pieces import (
 )
 from model.data.renders import ShardError, read_render, source_hashes
 from model.data.rows import ARRAYS, RowLayout
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from processes.progress import showing_progress
 from scenegen import Dataset
 from storage import FileHashes, inside, whole_file

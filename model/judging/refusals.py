@@ -9,7 +9,7 @@ from model.data.corner import many_corners_problem
 from model.data.shards import Shards
 from model.judging.report_files import files_of_report
 from model.run_folder.run_config import RunConfig
-from model.settings import MaskSource
+from model.settings.target import MaskSource
 from scenegen import Dataset, Split
 from storage import NightError
 from storage.own_files import refuse_other_files

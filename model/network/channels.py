@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import FittedWall, fitted_wall
-from model.settings import Channels, Reference
+from model.settings.input import Channels, Reference
 from storage import NightError
 from storage.contract import STRICT
 from storage.quantities import Positive

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from itof import unambiguous_range_m
 from model.network.readout import Readout, straight_through
-from model.settings import MaskAndDepthTarget, Target
+from model.settings.target import MaskAndDepthTarget, Target
 
 LARGEST_LOG_ERROR = 10.0
 MOST_CERTAIN = 40.0  # logit

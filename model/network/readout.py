@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
-from model.settings import ComponentsTarget, MaskGradient, MaskSource, Target
+from model.settings.target import ComponentsTarget, MaskGradient, MaskSource, Target
 
 # The gradient of the phase is 1 / amplitude and diverges at 0. Below this amplitude, the dead zone of the
 # paper's released code, it is that of this amplitude.

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from model.network.readout import Readout
 from model.paper.lovasz import lovasz_jaccard
-from model.settings import Balance, ComponentsTarget, LossName, LossTarget
+from model.settings.target import Balance, ComponentsTarget, LossName, LossTarget
 
 
 @dataclass(frozen=True)

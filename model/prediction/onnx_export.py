@@ -21,7 +21,7 @@ from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from storage import NightError, PathLike, whole_file
 
 INPUT: Final = "channels"

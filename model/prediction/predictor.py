@@ -24,7 +24,7 @@ from model.prediction.expected_error import expected_mae_m
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from storage import NightError, PathLike
 from storage.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 

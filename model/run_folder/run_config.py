@@ -22,14 +22,8 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
-from model.settings import (
-    MAY_CHANGE_ON_RESUME,
-    ComponentsTarget,
-    MaskAndDepthTarget,
-    TrainSettings,
-    flat_settings,
-    plain_settings,
-)
+from model.settings.target import ComponentsTarget, MaskAndDepthTarget
+from model.settings.train_settings import MAY_CHANGE_ON_RESUME, TrainSettings, flat_settings, plain_settings
 from storage import NightError, PathLike, whole_file
 from storage.contract import STRICT, checked
 from storage.quantities import FieldOfView, Positive

@@ -61,7 +61,7 @@ def all_keys(table: type, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
 
 
 def wrong_key(table: type, data: Mapping[str, Any]) -> str | None:
-    """The first key in `data` that is unknown, or not of its kind of table, in words; None if there is none."""
+    """The first key in `data` that is unknown, or not of its kind of table, in words; None without one."""
     return _wrong_key(dict(all_keys(table)), (table,), data, "")
 
 

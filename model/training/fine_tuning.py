@@ -15,7 +15,8 @@ from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import WEIGHTS_FILE, trained_network
-from model.settings import MaskAndDepthTarget, TrainSettings, flat_settings
+from model.settings.target import MaskAndDepthTarget
+from model.settings.train_settings import TrainSettings, flat_settings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.finer_pixels import with_finer_pixels
 from scenegen import Dataset

@@ -29,7 +29,7 @@ from model.run_folder.run_config import (
     run_id_of,
     write_config,
 )
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint, refuse_short_checkpoint
 from model.training.corner_images import corner_images
 from model.training.epoch import save_if_due, train_epoch, validate

@@ -13,7 +13,7 @@ from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset

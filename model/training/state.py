@@ -24,7 +24,7 @@ from model.paper.enlarged_set import EnlargedSet
 from model.run_folder.history import HISTORY_FILE, EpochRecord, compared_losses, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, save_checkpoint
 from model.training.checkpoint_contents import (
     checked_history,

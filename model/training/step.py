@@ -17,7 +17,8 @@ from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
 from model.paper.augmentation import PaperAugmentation
 from model.paper.loss import NightLoss
 from model.run_folder.run_config import RunConfig
-from model.settings import AugmentationSettings, ComponentsTarget, MaskAndDepthTarget
+from model.settings.augmentation import AugmentationSettings
+from model.settings.target import ComponentsTarget, MaskAndDepthTarget
 from model.training.optimisation import Optimisation
 from model.training.processes import Processes
 

@@ -74,7 +74,6 @@ TABLE = [
     ("night-render {data} --only 000099", "no scene 000099: its ids run from 000000 to 000006"),
     ("night-render {data} --only ../../x", "no scene ../../x"),
     ("night-render {data} --dry-run --cluster {out}", "{out} cannot be read: No such file or directory"),
-    ("night-render {data} --dry-run --cluster {file} --scheduler x", "either --scheduler or --cluster"),
     ("night-render {data} --status", "No such option '--status'"),  # a command since it has options
     ("night-render status {folder}", "{folder} is not a NIGHT dataset"),
     ("night-render status", "Missing argument 'DATASET'"),

@@ -9,7 +9,6 @@ import pytest
 import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
-from synthetic_dataset import write_synthetic_dataset
 from training_runs import FLIP, config_of, edit_checkpoint, settings
 
 from itof import DepthMap, ImageFileError, depth_from_phase, read_image
@@ -20,7 +19,6 @@ from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.history import read_history
 from model.run_folder.run_config import RunError
-from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.uncertainty_fit import UncertaintyFactors, UncertaintyFit
 
@@ -199,43 +197,25 @@ def test_factors_of_several_processes_and_batches_are_those_of_all_pixels():
     assert nothing.result(lambda tensor: tensor) == UncertaintyFactors(1.0, 1.0)
 
 
-def test_a_trained_network_gets_a_head_for_its_errors_and_keeps_its_depth(
-    plain_run, closed_form_scenes, tmp_path, shards
-):
-    chosen = UNSURE | {"freeze": "all-but-uncertainty", "max_epochs": 3}
-    others = write_synthetic_dataset(tmp_path / "others", count=12, dataset={"count": 12, "seed": 8})
-    train(others, tmp_path / "run", settings(**chosen), start_from=plain_run)
-    before, now = (load_file(run / "best.safetensors") for run in (plain_run, tmp_path / "run"))
-    # On other scenes, another factor on the logits would fit; the mask keeps its own.
-    assert all(torch.equal(weight, now[name]) for name, weight in before.items())
-    z = open_shards(closed_form_scenes).complex_phasors([0, 1])
-    old, new = (load(run, "cpu").predict(z) for run in (plain_run, tmp_path / "run"))
-    np.testing.assert_array_equal(old.mask, new.mask)
-    np.testing.assert_allclose(old.radial_depth_m, new.radial_depth_m, atol=1e-5)
-    assert old.depth_error_m is None
-    assert (new.depth_error_m > 0).all()
-
-
-def test_the_command_line_adds_the_head_to_a_network_that_has_none(plain_run, closed_form_scenes, tmp_path):
-    frozen = ("--uncertainty", "--freeze", "all-but-uncertainty", "--max-epochs", 1, "--batch-size", 4)
+def test_a_trained_network_gets_a_head_for_its_errors(plain_run, closed_form_scenes, tmp_path):
+    more = ("--set", "target.uncertainty=true", "--max-epochs", 1, "--batch-size", 4)
     done = night_here(
-        *("night-train", closed_form_scenes.root, "--out", tmp_path / "run", "--from", plain_run, *frozen)
+        *("night-train", closed_form_scenes.root, "--out", tmp_path / "run", "--from", plain_run, *more)
     )
     assert done.returncode == 0, done.stderr
-    assert config_of(tmp_path / "run")["settings"]["uncertainty"] is True
-    assert config_of(tmp_path / "run")["settings"]["width"] == 8
+    chosen = config_of(tmp_path / "run")["settings"]
+    assert (chosen["target"]["uncertainty"], chosen["network"]["width"]) == (True, 8)
+    z = open_shards(closed_form_scenes).complex_phasors([0, 1])
+    assert load(plain_run, "cpu").predict(z).depth_error_m is None
+    assert (load(tmp_path / "run", "cpu").predict(z).depth_error_m > 0).all()
 
 
-def test_settings_that_do_not_go_together_are_refused(unsure_run, closed_form_scenes, tmp_path):
-    for wrong in ({"uncertainty": True}, PLAIN | {"freeze": "all-but-uncertainty"}):
-        with pytest.raises(ValueError, match=r"uncertainty"):
-            TrainSettings(**{name: value for name, value in wrong.items() if name != "progress"})
-    with pytest.raises(RunError, match=r"uncertainty is False, but .* was trained with True"):
+def test_an_uncertainty_goes_with_mask_and_depth_and_stays(unsure_run, closed_form_scenes, tmp_path):
+    with pytest.raises(RunError, match=r"target.uncertainty is False, but .* was trained with True"):
         train(closed_form_scenes, tmp_path / "run", settings(**PLAIN), start_from=unsure_run)
-    sentence = refusal("night-train", closed_form_scenes.root, "--out", tmp_path / "x", "--uncertainty",
-                       "--preset", "known-wall")  # fmt: skip
-    assert "uncertainty" in sentence
-    assert "target mask+depth" in sentence
+    sentence = refusal("night-train", closed_form_scenes.root, "--out", tmp_path / "x", "--preset",
+                       "known-wall", "--set", "target.uncertainty=true")  # fmt: skip
+    assert "target.uncertainty goes with target.kind mask+depth, and it is components" in sentence
 
 
 def test_a_prediction_has_the_expected_error_in_its_files(unsure_run, plain_run, exr, tmp_path):

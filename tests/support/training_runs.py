@@ -12,8 +12,8 @@ from safetensors.torch import load_file
 
 from model.run_folder.checksums import with_checksum
 from model.run_folder.weights import save_weights
-from model.settings import TrainSettings, merged, settings_from_dict, tables
-from model.settings.keys import all_keys
+from model.settings.keys import all_keys, merged, tables
+from model.settings.train_settings import TrainSettings, settings_from_dict
 from model.training.checkpoint import save_checkpoint
 from model.training.loop import train
 
