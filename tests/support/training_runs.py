@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from model.run_folder.checksums import with_checksum
 from model.run_folder.weights import save_weights
 from model.settings.keys import all_keys, merged, tables
-from model.settings.train_settings import TrainSettings, settings_from_dict
+from model.settings.train_settings import TrainSettings, flat_settings, settings_from_dict
 from model.training.checkpoint import save_checkpoint
 from model.training.loop import train
 
@@ -77,11 +77,10 @@ def settings(**changes) -> TrainSettings:
     return settings_from_dict(merged(PLAIN, as_tables(**(QUICK | plain))), "a test")
 
 
-def set_options(**changes) -> list[str]:
-    """Options of night-train for the same settings."""
-    return [
-        word for name, value in changes.items() for word in ("--set", f"{KEYS[name]}={json.dumps(value)}")
-    ]
+def preset_text(chosen: TrainSettings) -> str:
+    """A preset of these settings; TOML has no value for what is not set."""
+    values = {key: value for key, value in flat_settings(chosen).items() if value is not None}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
 def train_on_one_thread(dataset, out, **changes):
