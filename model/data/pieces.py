@@ -27,7 +27,7 @@ from model.data.array_files import ArrayFile, header_of, is_array_file, read_arr
 from model.data.manifest import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
 from model.data.rows import ARRAYS, RowBlock, RowLayout
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from scenegen import Dataset
 from storage import FileHashes, whole_folder
 

@@ -28,7 +28,8 @@ from model.prediction.predictor import Predictor, load
 from model.run_folder.history import read_history
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import WEIGHTS_FILE
-from model.settings import DeviceName, MaskSource
+from model.settings.run import DeviceName
+from model.settings.target import MaskSource
 from scenegen import Dataset, Split
 from storage import PathLike, sha256_of, whole_folder
 from storage.extras import need

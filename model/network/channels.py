@@ -14,7 +14,7 @@ from itof import SubpixelWeights, network_channels, residual_channels, weighted_
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.wall_fit import WallFit
-from model.settings import Channels, Reference
+from model.settings.input import Channels, Reference
 from storage import NightError
 from storage.contract import STRICT
 from storage.quantities import Positive

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
-from model.settings import MaskGradient, MaskSource, Target, TrainSettings
+from model.settings.target import ComponentsTarget, MaskGradient, MaskSource, Target
 
 # The gradient of the phase is 1 / amplitude and diverges at 0. Below this amplitude, the dead zone of the
 # paper's released code, it is that of this amplitude.
@@ -46,12 +46,12 @@ class Readout:
     """
 
     frequency_hz: float
-    mask_threshold: float = TrainSettings.mask_threshold
-    dead_zone: float = TrainSettings.dead_zone
-    mask_from: MaskSource = TrainSettings.mask_from
-    mask_depth_m: float = TrainSettings.mask_depth_m
-    target: Target = TrainSettings.target
-    mask_gradient: MaskGradient = TrainSettings.mask_gradient
+    mask_threshold: float = ComponentsTarget.mask_threshold
+    dead_zone: float = ComponentsTarget.dead_zone
+    mask_from: MaskSource = ComponentsTarget.mask_from
+    mask_depth_m: float = ComponentsTarget.mask_depth_m
+    target: Target = ComponentsTarget.kind
+    mask_gradient: MaskGradient = ComponentsTarget.mask_gradient
 
     def __post_init__(self) -> None:
         if self.target == "depth" and self.mask_from != "depth":

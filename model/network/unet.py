@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.network.bounce_images import PLANES, BounceImages
-from model.settings import Freeze
 
 LEVELS = 5  # of the encoder of the paper's network, with four poolings between them
 HEAD_CHANNELS = (16, 8, 4)  # then the output
@@ -145,21 +144,6 @@ class UNet(nn.Module):
             if self.uncertainty_head is not None:
                 output = torch.cat([output, self.uncertainty_head(features.detach())], dim=1)
         return output[..., top : top + height, left : left + width]
-
-    def freeze(self, layers: Freeze) -> None:
-        """Leave some layers out of the training: ``encoder``, encoder and decoder (``all-but-head``), or all
-        but the head of the uncertainty (``all-but-uncertainty``).
-
-        There are no normalisation layers, so weights and biases are all that a layer has.
-        """
-        frozen = {
-            "none": (),
-            "encoder": (self.encoder,),
-            "all-but-head": (self.encoder, self.upsampling, self.decoder),
-            "all-but-uncertainty": (self.encoder, self.upsampling, self.decoder, self.head),
-        }
-        for part in frozen[layers]:
-            part.requires_grad_(False)
 
     @property
     def independent_parts(self) -> tuple[list[nn.Parameter], ...]:

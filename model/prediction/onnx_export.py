@@ -20,12 +20,12 @@ from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from storage import NightError, PathLike, whole_file
 from storage.extras import need
 
 INPUT: Final = "channels"
-# Names of the output, by settings.target and settings.uncertainty.
+# Names of the output, by target, and whether it has an uncertainty.
 OUTPUTS: Final = {
     ("components", False): "components",
     ("depth", False): "radial_depth_m",
@@ -116,7 +116,7 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
 
 def output_name(settings: TrainSettings) -> str:
     """Name of the output of a network with these settings."""
-    return OUTPUTS[settings.target, settings.uncertainty]
+    return OUTPUTS[settings.target.kind, settings.predicts_uncertainty]
 
 
 def _onnx_model(network: UNet, config: RunConfig) -> Any:

@@ -82,9 +82,7 @@ def check_cluster(scheduler: str | None, cluster_file: PathLike | None, workers:
     """
     need("cluster", ("cryptography", "dask_jobqueue", "distributed"), "night-render DATASET")
     if scheduler and cluster_file:
-        raise ClusterError(
-            "give either --scheduler or --cluster: the first joins a running cluster, the second starts one"
-        )
+        raise ClusterError("give either the address of a running cluster or a file that starts one")
     if scheduler and workers is not None:
         raise ClusterError(
             "--workers is for this machine or for --cluster: a running cluster has its own workers"

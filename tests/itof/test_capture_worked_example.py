@@ -175,8 +175,8 @@ def test_fine_tuning_on_pairs_learns_them_and_costs_others_little(make_dataset, 
     preset.write_text("[dataset]\ntest_fraction = 0.3334\nvalidation_fraction = 0.1\n")
     run("night-eval", "capture", "pairs", *pairs, "--preset", preset, "--out", real)
     assert len(open_dataset(real).ids("train")) == 11
-    settings = ("--max-epochs", 40, "--batch-size", 4, "--ema-decay", 0.95)
-    noise = ("--learning-rate", 1e-3, "--noise-sigma", 1e-3)
+    settings = ("--max-epochs", 40, "--batch-size", 4, "--set", "optimiser.ema_decay=0.95")
+    noise = ("--learning-rate", 1e-3, "--set", "augmentation.noise_sigma=1e-3")
     run("night-train", real, "--from", "night-40x30", "--out", tuned, *settings, *noise, "--device", "cpu")
     losses = read_history(tuned)["train_loss"]
     assert max(losses[-5:]) < losses[0] / 2  # 11 scenes are few for two million weights: they are learnt

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from model.data.augmentation import KINDS, UNCHANGED, Augmentation, Draws
+from model.data.augmentation import Draws
+from model.paper.augmentation import KINDS, UNCHANGED, PaperAugmentation
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class EnlargedSet:
 
     @classmethod
     def of(
-        cls, rows: Sequence[int], augmentation: Augmentation, copies: int, generator: torch.Generator
+        cls, rows: Sequence[int], augmentation: PaperAugmentation, copies: int, generator: torch.Generator
     ) -> EnlargedSet:
         """Samples of `rows`: all of them, and `copies`, at least 1, for each change of `augmentation`."""
         scenes = torch.tensor(rows)

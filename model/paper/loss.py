@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from model.network.lovasz import lovasz_jaccard
 from model.network.readout import Readout
-from model.settings import Balance, LossName, LossTarget, TrainSettings
+from model.paper.lovasz import lovasz_jaccard
+from model.settings.target import Balance, ComponentsTarget, LossName, LossTarget
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class NightLoss:
 
     *Other names.* ``mae``: L_MAE alone. ``mse``: squares instead of absolute values, with the same weights.
     ``mse+iou``: the mean of that and L_IoU. ``mae+lovasz``: the mean of L_MAE and the Lovász-Softmax loss of
-    the object (`model.network.lovasz`) with `Readout.presence` as its probability, which is the amplitude
+    the object (`model.paper.lovasz`) with `Readout.presence` as its probability, which is the amplitude
     also where the mask comes from the depth.
 
     Attributes
@@ -63,10 +63,10 @@ class NightLoss:
     """
 
     readout: Readout
-    name: LossName = TrainSettings.loss
-    on: LossTarget = TrainSettings.loss_on
-    alpha: float = TrainSettings.alpha
-    balance: Balance = TrainSettings.balance
+    name: LossName = ComponentsTarget.loss
+    on: LossTarget = ComponentsTarget.loss_on
+    alpha: float = ComponentsTarget.alpha
+    balance: Balance = ComponentsTarget.balance
     background_per_object: float | None = None
 
     def __post_init__(self) -> None:
