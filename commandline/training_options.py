@@ -138,5 +138,5 @@ SET = option(
     "assignments",
     multiple=True,
     metavar="GROUP.KEY=VALUE",
-    help="Change any setting, such as optimiser.clip_norm=0 (list: docs/reference/settings.md); may be repeated.",
+    help="Change any setting (docs/reference/settings.md), such as optimiser.clip_norm=0; may be repeated.",
 )
