@@ -82,7 +82,7 @@ def residual_channels(
     r_f = (z_f / reference_f) |reference_0| / |z_0|. The division by the relay wall's known direct return
     removes its phase, and the loss of amplitude at higher frequencies that the different paths within a pixel
     cause. The direct part of r_f is 1 at every frequency and cancels in the channels; the hidden part, about
-    0.2 % of the signal, remains (docs/design.md, Input channels). Pixels without light are 0.
+    0.2 % of the signal, remains (docs/science/design.md, Input channels). Pixels without light are 0.
 
     *Weights.* The reference is that of a Lambertian wall. For a wall with another lobe, the different paths
     within a pixel have other weights. They are taken from the measured amplitudes

@@ -17,7 +17,7 @@ from itof.arrays import A, PhasorsOf
 
 # Phases over the wall's direct return, radians. A pixel with the first shows another surface, and the fit of
 # the wall gives it no weight (`itof.wall.self_calibration`); its neighbours may be at the edge. The second is
-# above the hidden light of the preset `any-corner` (docs/experiments.md, Many corners).
+# above the hidden light of the preset `any-corner` (notebook/experiments.md, Many corners).
 ELSEWHERE_RAD: Final = 0.25
 _EDGE_RAD: Final = 0.05
 

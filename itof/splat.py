@@ -7,7 +7,7 @@ u, the position of the return between two bin centres in bins, its phasor become
 
 The term m = 0 is a factor that all returns share, the transfer function; `itof.MeasurementMatrix` divides by
 it. The terms that are left, relative to it, are the residue. It differs from return to return, so that
-nothing can divide it out. docs/rendering.md (Time-resolved output) derives both.
+nothing can divide it out. docs/science/renderer.md (Time-resolved output) derives both.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def splat_residue(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) -> 
     ------
     ValueError : a frequency at or above c / (2 bin_width_m), which these bins cannot resolve.
 
-    Source: derived in docs/rendering.md, for the weights of Hockney & Eastwood, Computer Simulation Using
+    Source: docs/science/renderer.md, for the weights of Hockney & Eastwood, Computer Simulation Using
     Particles, 1988, ch. 5.
     """
     x = _wavelengths(frequency_hz, bin_width_m)

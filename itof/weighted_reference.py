@@ -34,7 +34,7 @@ def weighted_reference(reference: PhasorsOf[A], amplitude: PixelsOf[Array]) -> P
     pixel, they are one-sided. The hidden light takes part in b, with 0.2 % of it, and is smooth.
 
     *Error.* The neglected terms fall with the fourth power of the pixel size (a test); what is left is in
-    docs/training.md, Rough walls. Noise of relative size σ in the amplitudes changes the phase by σ |g| / 17:
+    notebook/training.md, Rough walls. Noise of relative size σ in the amplitudes turns the phase by σ|g|/17:
     by less than σ / 40 at 40 x 30 pixels and 60 MHz, where |g| is at most 0.42.
 
     Parameters

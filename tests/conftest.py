@@ -58,7 +58,7 @@ def render_cluster(tmp_path_factory):
 @pytest.fixture(scope="session")
 def render_here(render_cluster):
     """Run ``night-render`` in this process; the workers of `render_cluster` render."""
-    return lambda *arguments: night_here("night-render", *arguments, "--scheduler", render_cluster)
+    return lambda *arguments: night_here("night-render", *arguments, "--cluster", render_cluster)
 
 
 @pytest.fixture(scope="session")

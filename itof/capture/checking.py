@@ -113,6 +113,8 @@ def check_capture(
 ) -> CaptureCheck:
     """Judge raw frames, or a measurement file, without a network.
 
+    Parameters that are not listed are those of `import_capture`.
+
     Parameters
     ----------
     inputs : raw frames with a `sidecar`; without, one measurement file as `import_capture` writes it.
@@ -120,8 +122,6 @@ def check_capture(
         an import beside it.
     picture : PNG file to write; it shows the first image that is refused, or else the first one. Only an
         earlier picture of a check is replaced.
-
-    The other parameters are those of `import_capture`.
 
     Raises
     ------

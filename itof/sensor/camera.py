@@ -58,7 +58,7 @@ class Camera:
 
         Parameters
         ----------
-        phasor : (..., H, W, F) complex phasors of scenes (docs/files.md has their unit), of numpy or another
+        phasor : (..., H, W, F) complex phasors of scenes (unit: docs/reference/files.md), of numpy or another
             library of the array API. H and W divide the sensor's height and width by the same whole number;
             the sensor pixels of a pixel see the same light, and their phasors are averaged.
         rng : for noise and drift; the fixed pattern has its own seed.

@@ -5,7 +5,7 @@
 *Weights of the robust fit.* A pixel has the weight |z|², the inverse of its phase variance under noise of
 equal strength in all pixels, but at most |d|² in the same unit, so that a single bright pixel has no power.
 Tukey's biweight then reduces what does not fit the wall: pixels with much hidden light, edges of the wall,
-damaged pixels. docs/design.md (Wall found in the measurement) has the measured accuracy.
+damaged pixels. docs/science/design.md (Wall found in the measurement) has the measured accuracy.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from model.data.feed import rows_by_piece
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.network.channels import IMAGES_AT_ONCE, ChannelError, InputSpec
-from model.settings import AmplitudeDivisor, Channels, Reference
+from model.settings.input import AmplitudeDivisor, Channels, Reference
 
 
 def fit_input_spec(

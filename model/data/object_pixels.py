@@ -41,7 +41,7 @@ def background_per_object(shards: Shards, rows: Sequence[int]) -> float:
         seen = "no background" if object_pixels else "no object"
         raise BalanceError(
             f"the ground truth of the {len(rows)} training scenes shows {seen}: train with "
-            "--balance image, or render scenes that show both"
+            "target.balance image, or render scenes that show both"
         )
     return (pixels - object_pixels) / object_pixels
 

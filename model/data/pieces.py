@@ -8,7 +8,7 @@
 ``piece.json``          SHA-256 of these arrays and of the renders from which they were made
 ======================  ====================================================================================
 
-Phasors are complex64, because half floats cannot represent the hidden 0.2 % of the signal (docs/design.md,
+Phasors are complex64: half floats cannot represent the hidden 0.2 % of the signal (docs/science/design.md,
 Number types).
 """
 
@@ -27,7 +27,7 @@ from model.data.array_files import ArrayFile, header_of, is_array_file, read_arr
 from model.data.manifest import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
 from model.data.rows import ARRAYS, RowBlock, RowLayout
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from scenegen import Dataset
 from storage import FileHashes, whole_folder
 

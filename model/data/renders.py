@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import DepthMap, Image, ImageFileError, TransientReader, depth_from_phase, phase, read_image
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,

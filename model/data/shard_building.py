@@ -25,7 +25,7 @@ from model.data.manifest import (
 from model.data.pieces import PIECE_FILES, has_its_arrays, scenes_per_piece, why_stale, write_piece
 from model.data.renders import ShardError, read_render, source_hashes
 from model.data.rows import RowLayout
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from processes.progress import showing_progress
 from scenegen import Dataset
 from storage import FileHashes, inside, whole_file

@@ -22,7 +22,7 @@ from model.data.pieces import read_rows
 from model.data.renders import TRUTH_FILES, ShardError
 from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from scenegen import MEASUREMENT_FILE, Dataset, RenderRecord, Split, read_failure, read_record
 from storage import FileHashes
 

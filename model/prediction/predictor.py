@@ -24,7 +24,7 @@ from model.prediction.expected_error import expected_mae_m
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from storage import NightError, PathLike
 from storage.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 
@@ -232,7 +232,7 @@ class Predictor:
         self.network.eval()
         images = torch.from_numpy(channels).to(self.device)
         output = self.network(images)  # (N, C, H, W)
-        if self.config.settings.average_flip:
+        if self.config.settings.run.average_flip:
             output = average_with_flip(self.network, images, output)
         if not bool(output.isfinite().all()):
             raise RunError(

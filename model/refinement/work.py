@@ -29,7 +29,7 @@ from model.refinement.refined_result import FoundSolid, RefinedScene, SceneNumbe
 from model.refinement.refining import Family, Refined, refined
 from model.refinement.settings import Unknown
 from model.run_folder.run_config import Sha256
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from processes.worker_processes import KILLED, results_in_order, worker_pool
 from scenegen import Dataset, Split, open_dataset
 from storage import whole_file, write_text

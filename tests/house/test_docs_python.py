@@ -1,4 +1,4 @@
-"""The blocks of docs/python.md, run word for word as one script."""
+"""The blocks of docs/guide/python.md, run word for word as one script."""
 
 import os
 import re
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib import image as png
 
-PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guide" / "python.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
 
 

@@ -167,7 +167,7 @@ def test_solids_that_explain_what_the_camera_has_measured_are_where_the_objects_
 def test_fine_tuning_on_pairs_learns_them_and_costs_others_little(make_dataset, tmp_path):
     """Of a network that has never seen a camera, with little light, in a corner that is not its own.
 
-    Whether others gain is a question for more scenes than a test has (docs/real-cameras.md).
+    Whether others gain is a question for more scenes than a test has (docs/guide/cameras.md).
     """
     small = FINE.replace("320", "160").replace("240", "120").replace("power_w = 100", "power_w = 2")
     _, pairs = measured(make_dataset, tmp_path, 18, small, 0.01)
@@ -175,8 +175,8 @@ def test_fine_tuning_on_pairs_learns_them_and_costs_others_little(make_dataset, 
     preset.write_text("[dataset]\ntest_fraction = 0.3334\nvalidation_fraction = 0.1\n")
     run("night-eval", "capture", "pairs", *pairs, "--preset", preset, "--out", real)
     assert len(open_dataset(real).ids("train")) == 11
-    settings = ("--max-epochs", 40, "--batch-size", 4, "--ema-decay", 0.95)
-    noise = ("--learning-rate", 1e-3, "--noise-sigma", 1e-3)
+    settings = ("--max-epochs", 40, "--batch-size", 4, "--set", "optimiser.ema_decay=0.95")
+    noise = ("--learning-rate", 1e-3, "--set", "augmentation.noise_sigma=1e-3")
     run("night-train", real, "--from", "night-40x30", "--out", tuned, *settings, *noise, "--device", "cpu")
     losses = read_history(tuned)["train_loss"]
     assert max(losses[-5:]) < losses[0] / 2  # 11 scenes are few for two million weights: they are learnt

@@ -1,4 +1,4 @@
-"""Benchmarks of docs/accuracy.md and docs/experiments.md: curves, bounds, library baseline, gallery."""
+"""Benchmarks of docs/science/accuracy.md and notebook/: curves, bounds, library baseline, gallery."""
 
 import re
 import runpy
@@ -73,7 +73,7 @@ def test_a_learning_curve_has_a_row_for_each_number_of_scenes(closed_form_scenes
     table = found[-2:]  # printed while it runs, and at the end
     assert [row[:2] for row in table] == [["2", "4"], ["4", "2"]]
     assert all(float(row[2]) > 0 and 0 < float(row[3]) < 1 for row in table)
-    assert load(tmp_path / "curve" / "scenes-4", "cpu").config.settings.train_scenes == 4
+    assert load(tmp_path / "curve" / "scenes-4", "cpu").config.settings.run.train_scenes == 4
     again = rows("learning_curve", *words)
     assert again[-2:] == table  # finished runs are only judged
 

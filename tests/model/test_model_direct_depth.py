@@ -9,13 +9,13 @@ from night_commands import night_here, refusal
 from training_runs import FLIP, assert_same_end, config_of, settings
 
 from itof import DepthMap, phasor_of_return
-from model.network.loss import NightLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.network.readout import Readout
+from model.paper.loss import NightLoss
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
-from model.settings import TrainSettings
 from model.training.loop import train
+from storage import PresetError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 DIRECT = Readout(20e6, target="depth", mask_from="depth")
@@ -139,10 +139,10 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
 
 
 def test_what_contradicts_a_baseline_is_refused(direct_run, seeing_run, closed_form_scenes, tmp_path):
-    with pytest.raises(ValueError, match=r"loss mae\+lovasz needs an amplitude"):
-        TrainSettings(target="depth", loss="mae+lovasz")
+    with pytest.raises(PresetError, match=r"target\.loss must be 'mae', 'mse', 'mae\+iou' or 'mse\+iou'"):
+        settings(target="depth", loss="mae+lovasz")
     with pytest.raises(ValueError, match="has no amplitude"):
         Readout(20e6, target="depth")
-    with pytest.raises(RunError, match=r"target is depth, but .* was trained with components"):
+    with pytest.raises(RunError, match=r"target.kind is depth, but .* was trained with components"):
         train(closed_form_scenes, tmp_path / "run", settings(**COURSE), start_from=seeing_run)
-    assert config_of(direct_run)["settings"]["target"] == "depth"
+    assert config_of(direct_run)["settings"]["target"]["kind"] == "depth"

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from itof import depth_from_phase, phase, phasor_of_return
-from model.network.loss import NightLoss, intersection_over_union
 from model.network.readout import Readout
+from model.paper.loss import NightLoss, intersection_over_union
 
 READOUT = Readout(20e6)
 BY_DEPTH = Readout(20e6, mask_from="depth")

@@ -19,13 +19,12 @@ from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config
-from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.refusals import TrainingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5)
-COURSE = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "width": 8, "batch_size": 2}
+COURSE = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2}
 COURSE |= {"learning_rate": 2e-3, "average_flip": True, "mask_threshold": 0.2, "block": 2}
 
 
@@ -154,10 +153,7 @@ def test_the_commands_take_such_a_run(run, closed_form_scenes, tmp_path, shards)
         np.testing.assert_allclose(output, predictor.network(torch.from_numpy(channels)), atol=1e-4)
 
 
-def test_what_contradicts_the_target_is_refused(run, tmp_path):
-    for wrong in ({"target": "mask+depth"}, {"loss": "bce+iou+depth"}):
-        with pytest.raises(ValueError, match=r"target mask.depth and loss bce.iou.depth go together"):
-            TrainSettings(**wrong)
+def test_a_run_that_lost_the_depth_of_its_objects_is_refused(run, tmp_path):
     assert config_of(run)["object_depth_m"]
     edit_config(run, object_depth_m=None)
     with pytest.raises(RunError, match=r"needs object_depth_m"):

@@ -81,5 +81,4 @@ def test_an_export_says_what_is_missing_and_where_it_may_go(finished_run, tmp_pa
         assert "file that ends in .onnx" in message
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     message = refusal("night-eval", "export", finished_run, "--out", tmp_path / "model.onnx")
-    assert "needs onnxscript" in message
-    assert "night-nlos[onnx]" in message
+    assert "night-eval export needs the package onnxscript: pip install 'night-nlos[onnx]'" in message

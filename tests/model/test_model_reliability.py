@@ -16,7 +16,7 @@ from model.prediction.expected_error import expected_mae_m
 from model.prediction.predictor import load
 
 FREQUENCY_HZ = 20e6
-PROBABLE = {"target": "mask+depth", "loss": "bce+iou+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
+PROBABLE = {"target": "mask+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -80,7 +80,7 @@ def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(
             scheduler.kill()
 
         with meanwhile(kill_the_scheduler):
-            done = night_here("night-render", three_missing, "--scheduler", address)
+            done = night_here("night-render", three_missing, "--cluster", address)
     assert done.returncode == 2
     assert "connection to the Dask scheduler was lost" in done.stderr
     assert render_here(three_missing).returncode == 0
@@ -134,7 +134,7 @@ def test_a_full_disk_stops_the_run_and_what_is_done_stays(
         assert "--product itof needs" in refused.stderr
         assert "1 scenes fit" in refused.stderr
         assert not (data / "renders" / "000004").exists()
-        full = render_here(data, "--ignore-space")
+        full = render_here(data, "--accept", "small-disk")
         assert full.returncode == 2
         assert "no space left for scene" in full.stderr.splitlines()[-1]
         assert not list(data.glob("renders/*/failure.json"))

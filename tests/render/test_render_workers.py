@@ -66,13 +66,13 @@ def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_
 
 def test_a_scheduler_that_is_not_there_is_named(unrendered, monkeypatch):
     monkeypatch.setattr("render.farm.scheduler_address.CONNECT_S", 0.5)
-    done = night_here("night-render", unrendered, "--scheduler", "tcp://127.0.0.1:9")
+    done = night_here("night-render", unrendered, "--cluster", "tcp://127.0.0.1:9")
     assert done.returncode == 2
     assert "Error: no Dask scheduler answers at tcp://127.0.0.1:9" in done.stderr
 
 
 def test_wrong_workers_leave_no_settings_for_the_next_run(unrendered):
-    for wrong in (["--scheduler", "nonsense"], ["--cluster", "nowhere.toml"]):
+    for wrong in (["--cluster", "x://nonsense"], ["--cluster", "nowhere.toml"]):
         done = night_here("night-render", unrendered, "--resolution", "20x15", *wrong)
         assert done.returncode == 2
     assert not (unrendered / "renders").exists()
@@ -145,7 +145,7 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
     assert again.returncode == 1
     assert again.stdout.startswith("0 scenes rendered, 6 were there")
     assert "1 scenes failed earlier" in again.stderr
-    healed = render_here(data, "--retry-failed")
+    healed = render_here(data, "--again", "failed")
     assert healed.returncode == 0, healed.stderr
     assert results(data) == results(seven_renders)
 

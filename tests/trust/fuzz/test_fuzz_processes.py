@@ -19,7 +19,7 @@ from render_runs import SETTINGS, results, start_render, workers_of
 MODULES = ("cli", "commandline", "storage", "processes", "scenegen", "itof", "render", "model")
 pytestmark = pytest.mark.thorough
 COMMANDS = ("night-gen", "night-render", "night-train", "night-eval")
-RENDER_HERE = replace(RENDER, command="night-render data --retry-failed --workers 1 --device cpu")
+RENDER_HERE = replace(RENDER, command="night-render data --again failed --workers 1 --device cpu")
 BARE = {name: value for name, value in os.environ.items() if name not in ("HOME", "USER", "LOGNAME")}
 
 
