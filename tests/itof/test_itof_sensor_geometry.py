@@ -50,7 +50,7 @@ def test_motion_moves_each_frequency_by_its_time():
     # of the frequencies, 2 mm, times the part of 1 / cos that is no constant.
     head_on = ExpectedWall.of_plane([0.0, 0.0, 0.5], 48, 36, HZ, 60.0)
     seen = moved(settings, head_on.direct, HZ)
-    left = np.abs(np.angle(seen / calibrate(seen, head_on).direct)).max()
+    left = np.abs(np.angle(seen / calibrate(seen, head_on).moved(seen, head_on))).max()
     spread = np.ptp(1 / pixel_rays(48, 36, 60.0)[..., 2])
     assert 1e-5 < left < 0.5 * 4e-3 * 2 * phase_per_metre(HZ)[2] * spread
 
