@@ -23,6 +23,7 @@ import numpy as np
 from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 
+from itof.light import megahertz
 from itof.sensor.settings import SensorSettings
 
 _TABLE = 2**14  # steps of a period; linear interpolation errs by less than 1e-7
@@ -139,7 +140,7 @@ def wiggling(
     seen = angle + np.unwrap(np.angle(error))
     if (np.diff(seen) <= 0).any():
         raise ValueError(
-            f"light of several phases gives the same measured phase at {frequency_hz / 1e6:g} MHz, which no "
+            f"light of several phases gives the same measured phase at {megahertz(frequency_hz)}, which no "
             "calibration undoes: use a larger emitter_duty or more phase_steps, or set wiggling_left to 1"
         )
     return seen, error
