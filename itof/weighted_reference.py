@@ -6,9 +6,11 @@ Arrays may be of numpy or of any other library that supports the array API stand
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from array_api_compat import array_namespace
+
+from itof.arrays import Array
 
 SubpixelWeights = Literal["measured", "uniform"]
 # Neighbours that differ in brightness by more than this factor belong to different surfaces: the edge of a
@@ -16,7 +18,7 @@ SubpixelWeights = Literal["measured", "uniform"]
 _EDGE = 1.25
 
 
-def weighted_reference(reference: Any, amplitude: Any) -> Any:
+def weighted_reference(reference: Array, amplitude: Array) -> Array:
     """The direct return `reference` of a Lambertian wall, for the wall that a measurement shows.
 
     The light of a pixel comes over different paths. `reference` weights them as a Lambertian wall does. A
@@ -54,7 +56,7 @@ def weighted_reference(reference: Any, amplitude: Any) -> Any:
     return reference * (1 + change / 12)
 
 
-def quotient(xp: ModuleType, dividend: Any, divisor: Any) -> Any:
+def quotient(xp: ModuleType, dividend: Array, divisor: Array) -> Array:
     """`dividend` / `divisor`, 0 where the divisor is 0."""
     defined = divisor != 0
     quotient = dividend / xp.where(defined, divisor, xp.ones_like(divisor))
@@ -67,7 +69,7 @@ def check_weights(weights: str) -> None:
         raise ValueError(f"subpixel weights are {' or '.join(get_args(SubpixelWeights))}, got {weights!r}")
 
 
-def log_slope(xp: ModuleType, values: Any, axis: int, largest_ratio: float | None = None) -> Any:
+def log_slope(xp: ModuleType, values: Array, axis: int, largest_ratio: float | None = None) -> Array:
     """Gradient of log(values) along an axis, per pixel; 0 where no neighbour can be compared.
 
     Neighbours are compared if both are not 0 and their ratio is at most `largest_ratio`. All differences are
@@ -84,21 +86,21 @@ def log_slope(xp: ModuleType, values: Any, axis: int, largest_ratio: float | Non
     return xp.moveaxis(slope, -1, axis)
 
 
-def _log(xp: ModuleType, values: Any) -> Any:
+def _log(xp: ModuleType, values: Array) -> Array:
     """Logarithm of real or complex numbers; PyTorch's complex one takes twice the time of its two parts."""
     if not xp.isdtype(values.dtype, "complex floating"):
         return xp.log(values)
     return xp.log(xp.abs(values)) + 1j * xp.atan2(xp.imag(values), xp.real(values))
 
 
-def _slope_of_all(xp: ModuleType, step: Any) -> Any:
+def _slope_of_all(xp: ModuleType, step: Array) -> Array:
     """As `_slope_of_some`, and faster, where all of at least two steps are known."""
     first = step[..., :1] - (step[..., 1:2] - step[..., :1]) / 2
     last = step[..., -1:] + (step[..., -1:] - step[..., -2:-1]) / 2
     return xp.concat([first, (step[..., :-1] + step[..., 1:]) / 2, last], axis=-1)
 
 
-def _slope_of_some(xp: ModuleType, step: Any, known: Any, none: Any) -> Any:
+def _slope_of_some(xp: ModuleType, step: Array, known: Array, none: Array) -> Array:
     """(..., n) slopes of (..., n - 1) steps between neighbours, of which only some are known.
 
     `none` is (..., 1) zeros.

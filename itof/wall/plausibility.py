@@ -168,8 +168,8 @@ def _no_wall(phasor: Phasors, wall: ExpectedWall, compared: bool) -> Finding:
         if len(wall.frequencies_hz) == 1:
             words += f" within {length(combined_range_m(wall.frequencies_hz))}, the unambiguous range"
     elif wrong:
-        words = f"no wall found at {megahertz(*wrong)}: only the phases at {megahertz(*right)} are those of a "
-        words += "wall"
+        others = megahertz(*right)
+        words = f"no wall found at {megahertz(*wrong)}: only the phases at {others} are those of a wall"
     else:
         words = f"no wall found: the phases at {megahertz(*right)} are not those of the same wall"
     return Finding("no-wall", words, True)
