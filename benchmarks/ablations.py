@@ -22,7 +22,9 @@ from model.data.feed import Feed
 from model.data.shards import Shards, open_shards
 from model.network.metrics import Summary, image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import Predictor, load
-from model.settings import TrainSettings, settings_from_dict, training_preset
+from model.settings.keys import merged, tables
+from model.settings.presets import training_preset
+from model.settings.train_settings import TrainSettings, settings_from_dict
 from model.training.loop import train
 from scenegen import open_dataset
 from storage import read_settings
@@ -80,15 +82,23 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     dataset = open_dataset(given.dataset)
     shards = open_shards(dataset)
-    changes = {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
-    changes |= {"learning_rate": given.learning_rate, "schedule": given.schedule}
+    changes = {
+        "network.width": given.width,
+        "run.max_epochs": given.max_epochs,
+        "run.patience": given.max_epochs,
+        "optimiser.learning_rate": given.learning_rate,
+        "optimiser.schedule": given.schedule,
+    }
     rows = PAPER_ROWS if given.rows == "paper" else ROWS
-    base = training_preset(given.preset)[0] | {key: value for key, value in changes.items() if value}
+    own = tables({key: value for key, value in changes.items() if value})
+    base = merged(training_preset(given.preset)[0], own)
     done: dict[TrainSettings, Path] = {}
     results: dict[Row, list[Summary]] = {row: [] for row in rows}
     for seed in range(given.seeds):
         for row in rows:
-            settings = settings_from_dict(base | own_keys(row) | {"seed": seed}, str(row.preset))
+            settings = settings_from_dict(
+                merged(merged(base, own_keys(row)), {"run": {"seed": seed}}), str(row.preset)
+            )
             out = given.out / f"{row.preset or 'base'}-{seed}"
             if settings not in done:  # several rows have the settings of the base
                 done[settings] = out
@@ -114,7 +124,7 @@ def judged(
     metrics = []
     for block in feed.in_order(BATCH):
         found = predictor.predict(
-            change(block.complex_phasors()[..., places]),
+            change(block.phasors[..., places]),
             fields_of_view_deg=shards.fields_of_view_deg(block.rows),
         )
         images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import amplitude, read_image, split_components
+from itof import amplitude, read_image
 from scenegen import Dataset, open_dataset
 
 SIGMAS = (1.0, 0.03, 1e-4)
@@ -42,7 +42,8 @@ def hidden_components(dataset: Dataset, scene: str) -> NDArray[np.float64]:
     """(H, W, 2F) Re and Im of the hidden light of a scene in the paper's channels."""
     image = read_image(dataset.render_folder(scene) / "itof.exr")
     total, _ = image.phasors()
-    return split_components(image.phasors("hidden")[0] / amplitude(total[..., :1]))
+    hidden = image.phasors("hidden")[0] / amplitude(total[..., :1])
+    return np.concatenate([hidden.real, hidden.imag], axis=-1)
 
 
 if __name__ == "__main__":

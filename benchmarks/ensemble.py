@@ -47,7 +47,7 @@ def together(predictors: list[Predictor], shards: Shards, rows: list[int]) -> Su
     for block in Feed(shards, rows, window_rows=0).in_order(BATCH):
         found = [
             predictor.predict(
-                block.complex_phasors()[..., predictor.config.inputs.places(shards.manifest.frequencies_hz)],
+                block.phasors[..., predictor.config.inputs.places(shards.manifest.frequencies_hz)],
                 fields_of_view_deg=shards.fields_of_view_deg(block.rows),
             )
             for predictor in predictors

@@ -93,7 +93,7 @@ def predicted(run: str, folder: Path) -> list[Shown]:
     shown = []
     for block in Feed(shards, shards.rows("test"), window_rows=0).in_order(BATCH):
         found = predictor.predict(
-            block.complex_phasors()[..., places],
+            block.phasors[..., places],
             fields_of_view_deg=shards.fields_of_view_deg(block.rows),
         )
         for index, scene_id in enumerate(shards.ids(block.rows)):

@@ -1,4 +1,4 @@
-"""Draw docs/hidden_signal.png: the measurement of the camera and its hidden part, for three scenes.
+"""Draw docs/images/hidden_signal.png: the measurement of the camera and its hidden part, for three scenes.
 
 Run:
 
@@ -21,7 +21,7 @@ from render.transport.mirrored import trace_ground_truth
 from render.transport.scene_loading import load_scene
 
 HZ = (20e6,)
-TARGET = Path(__file__).parent.parent / "docs" / "hidden_signal.png"
+TARGET = Path(__file__).parent.parent / "docs" / "images" / "hidden_signal.png"
 
 
 def main() -> None:

@@ -84,12 +84,13 @@ def predictors(given: argparse.Namespace, device: str) -> list[tuple[str, Predic
 def untrained(preset: str, width: int, height: int, device: str) -> Predictor:
     """The network of a training preset with initial weights, for images of one size."""
     settings = model.settings_from_dict(*model.training_preset(preset)).for_images(width)
-    frequencies_hz = settings.frequencies_hz or FREQUENCIES_HZ
-    residuals = 2 * len(frequencies_hz) - 1 if "residual" in settings.channels else 0
+    kind = settings.input.channels.kind
+    frequencies_hz = settings.input.frequencies_hz or FREQUENCIES_HZ
+    residuals = 2 * len(frequencies_hz) - 1 if "residual" in kind else 0
     scales = (1e-3,) * residuals
-    inputs = InputSpec(settings.channels, frequencies_hz, 1.0, scales, "measured", settings.reference)
+    inputs = InputSpec(kind, frequencies_hz, 1.0, scales, "measured", settings.input.reference)
     config = RunConfig(
-        *(settings, inputs, frequencies_hz[0], VIEW, width, height, "", "", ""),
+        *(settings, inputs, frequencies_hz[0], VIEW, width, height, "", "", "", "0" * 64),
         background_per_object=30.0,
         object_depth_m=OBJECT_DEPTH_M if settings.predicts_probability else None,
     )

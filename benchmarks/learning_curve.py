@@ -22,7 +22,9 @@ from numpy.typing import ArrayLike
 
 from model.data.shards import open_shards
 from model.prediction.predictor import load
-from model.settings import settings_from_dict, training_preset
+from model.settings.keys import merged
+from model.settings.presets import training_preset
+from model.settings.train_settings import settings_from_dict
 from model.training.loop import train
 from scenegen import open_dataset
 
@@ -50,14 +52,15 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     dataset, unseen = open_dataset(given.dataset), open_shards(open_dataset(given.judge))
     base = training_preset(given.preset)[0]
-    base |= {key: getattr(given, key) for key in ("width", "block") if getattr(given, key)}
+    sizes = {key: getattr(given, key) for key in ("width", "block") if getattr(given, key)}
+    base = merged(base, {"network": sizes})
     lines, errors_cm = [], []
     for count, seen in zip(given.counts, samples, strict=True):
         epochs = max(1, round(seen / count))
         changes = {"train_scenes": count, "max_epochs": epochs, "patience": epochs, "seed": given.seed}
         out = given.out / f"scenes-{count}"
         train(
-            *(dataset, out, settings_from_dict(base | changes, given.preset)),
+            *(dataset, out, settings_from_dict(merged(base, {"run": changes}), given.preset)),
             resume=(out / "run.json").is_file(),
         )
         found = judged(load(out), unseen, unseen.rows("test"))

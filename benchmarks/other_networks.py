@@ -1,6 +1,6 @@
 """Other networks and losses than those of NIGHT: train and judge each, beside NIGHT's own.
 
-This makes the table of docs/experiments.md again, and is the place to try the next idea. Each row changes one
+This makes the table of notebook/experiments.md again, and is the place for new ideas. Each row changes one
 thing against the preset `five-levels` without images of the three bounces. Interrupted runs continue, and
 finished runs are only judged. Run, for all or for some:
 
@@ -27,7 +27,9 @@ from model.network.metrics import Summary
 from model.network.unet import LEVELS, UNet
 from model.prediction.predictor import load
 from model.run_folder import run_config
-from model.settings import TrainSettings, settings_from_dict, training_preset
+from model.settings.keys import merged
+from model.settings.presets import training_preset
+from model.settings.train_settings import TrainSettings, settings_from_dict
 from model.training import step
 from model.training.loop import train
 from scenegen import Dataset, open_dataset
@@ -181,13 +183,14 @@ def main() -> None:
     parser.add_argument("--max-epochs", type=int, default=30)
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    changes = {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
+    epochs = {"max_epochs": given.max_epochs, "patience": given.max_epochs}
     dataset = open_dataset(given.dataset)
     for name in given.only:
         found = []
         for seed in range(given.seeds):
-            of_row = changes | {"seed": seed, "bounce_images": OTHERS[name].bounce_images}
-            settings = settings_from_dict(training_preset("five-levels")[0] | of_row, "five-levels")
+            images = {"input": {"channels": {"bounce_images": OTHERS[name].bounce_images}}}
+            of_row = images | {"network": {"width": given.width}, "run": epochs | {"seed": seed}}
+            settings = settings_from_dict(merged(training_preset("five-levels")[0], of_row), "five-levels")
             found.append(result(OTHERS[name], dataset, settings, given.out / f"{name}-{seed}"))
             print(line(OTHERS[name], found), flush=True)
 

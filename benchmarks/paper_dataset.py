@@ -1,7 +1,7 @@
 """The 1344 scenes of the paper: time in Blender, sizes of the splits, ratio of background to object pixels.
 
 The training log of the released code gives a ratio of 30.2. Comparing it with our ratio checks the sizes of
-the primitives (docs/design.md, Primitive sizes). Run:
+the primitives (docs/science/design.md, Primitive sizes). Run:
 
     .venv/bin/python benchmarks/paper_dataset.py
 """

@@ -47,7 +47,7 @@ def means(predictor: Predictor, shards: Shards) -> tuple[Floats, Floats]:
     predicted, true = [], []
     for block in Feed(shards, shards.rows("test"), window_rows=0).in_order(BATCH):
         found = predictor.predict(
-            block.complex_phasors()[..., places], fields_of_view_deg=shards.fields_of_view_deg(block.rows)
+            block.phasors[..., places], fields_of_view_deg=shards.fields_of_view_deg(block.rows)
         )
         predicted += [middle(*image) for image in zip(found.radial_depth_m, found.mask, strict=True)]
         true += [middle(*image) for image in zip(block.radial_depth_m, block.mask > 0, strict=True)]

@@ -105,7 +105,7 @@ def judged(
     """A scene of the shards, changed as in a row."""
     block = shards.read([place])
     used = predictor.config.inputs.places(shards.manifest.frequencies_hz)
-    phasor = row.change(block.complex_phasors()[..., used])[0]
+    phasor = row.change(block.phasors[..., used])[0]
     view = moved_wall(wall_view(dataset), row.wall_m, row.wall_deg)
     height, width, _ = phasor.shape
     frequencies_hz = predictor.config.inputs.frequencies_hz

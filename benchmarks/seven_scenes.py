@@ -13,7 +13,7 @@ from typing import Any
 
 from scenegen import Dataset, open_dataset, preset_from_dict
 
-# Class and roughness of the wall. The first three are those of docs/hidden_signal.png.
+# Class and roughness of the wall. The first three are those of docs/images/hidden_signal.png.
 SCENES = (
     ("sphere", 0.3),
     ("cube", 0.6),

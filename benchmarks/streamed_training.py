@@ -8,7 +8,6 @@ scenes have memory for a third of them. Run, on an idle machine:
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
@@ -16,7 +15,9 @@ from unittest.mock import patch
 from shard_cost import make_dataset
 
 from model.data.shards import open_shards
-from model.settings import TrainSettings, settings_from_dict, training_preset
+from model.settings.keys import merged, tables
+from model.settings.presets import training_preset
+from model.settings.train_settings import TrainSettings, settings_from_dict
 from model.training import loop
 from scenegen import Dataset, open_dataset
 
@@ -33,20 +34,21 @@ def main() -> None:
     arguments.add_argument("--batch-size", type=int, default=32)
     given = arguments.parse_args()
     width, height = map(int, given.size.split("x"))
-    settings = replace(
-        settings_from_dict(*training_preset(given.preset)),
-        block=given.block,
-        batch_size=given.batch_size,
-        max_epochs=EPOCHS,
-        progress=False,
-        bounce_images=False,
-        optimiser="adam",  # whose steps take no time to speak of
-        checkpoint_minutes=1e3,
-    )
+    changes = {
+        "network.block": given.block,
+        "optimiser.batch_size": given.batch_size,
+        "optimiser.algorithm": "adam",  # whose steps take no time to speak of
+        "run.max_epochs": EPOCHS,
+        "run.progress": False,
+        "run.checkpoint_minutes": 1e3,
+        "input.channels.bounce_images": False,
+    }
+    preset, origin = training_preset(given.preset)
+    settings = settings_from_dict(merged(preset, tables(changes)), origin)
     with TemporaryDirectory() as folder:
         make_dataset(Path(folder) / "data", given.scenes, width, height)
         dataset = open_dataset(Path(folder) / "data")
-        row_bytes = open_shards(dataset, ground_truth=settings.ground_truth).manifest.layout.row_bytes
+        row_bytes = open_shards(dataset, ground_truth=settings.run.ground_truth).manifest.layout.row_bytes
         print(f"| {given.size}, batches of {given.batch_size} | epoch | samples/s |\n|---|---|---|")
         for way, memory_bytes in (("streamed", given.scenes * row_bytes // 3), ("in memory", None)):
             rates = epoch_rates(dataset, Path(folder) / way, settings, memory_bytes)

@@ -33,9 +33,11 @@ from model.data.batches import BatchMaker
 from model.data.rows import RowBlock
 from model.device import choose_device
 from model.network.channels import InputSpec
-from model.network.loss import NightLoss
+from model.paper.loss import NightLoss
 from model.run_folder.run_config import RunConfig
-from model.settings import TrainSettings
+from model.settings.keys import merged, tables
+from model.settings.presets import training_preset
+from model.settings.train_settings import settings_from_dict
 from model.training.processes import Processes
 from model.training.step import TrainingStep
 
@@ -44,7 +46,7 @@ VIEW = WallView(60.0, ((1, 0, 0), (0, 1, 0), (0, 0, 1)), (0, 0, 0), (0, 0, 2), (
 # Caligiuri et al. 2024, sec. 4.2: 695 epochs of 2833 samples in about 4 h 40 min, RTX 2080 Ti. This is 24.2 s
 # an epoch; 24 s give 118 samples/s.
 PAPER_SAMPLES_PER_SECOND = 118
-WAYS = ("plain", "float32", "bfloat16", "compiled bfloat16")
+WAYS = ("plain", "float32", "bfloat16")
 
 
 def main() -> None:
@@ -57,13 +59,11 @@ def main() -> None:
         "--seconds", type=float, default=20.0, help="least time that each way is measured, default 20"
     )
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
-    parser.add_argument("--compile", action="store_true", help="measure torch.compile too")
     parser.add_argument("--way", choices=[*WAYS, "roofline"], help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.way:
         print(measured(given) if given.way != "roofline" else roofline(given))
         return
-    ways = [way for way in WAYS if given.compile or not way.startswith("compiled")]
     print(f"{torch.get_num_threads()} threads, device {choose_device(given.device)}, width {given.width}")
     print(
         "| size | way | samples/s | times plain | of the roofline | peak memory |\n|---|---|---|---|---|---|"
@@ -71,7 +71,7 @@ def main() -> None:
     for size in given.size or ["80x60", "320x240"]:
         limits = dict(zip(("float32", "bfloat16"), map(float, child(given, size, "roofline")), strict=True))
         plain = 0.0
-        for way in ways:
+        for way in WAYS:
             samples, memory = map(float, child(given, size, way))
             plain = plain or samples
             limit = limits["bfloat16" if "bfloat16" in way else "float32"]
@@ -95,17 +95,16 @@ def measured(given: argparse.Namespace) -> str:
     """Samples per second and peak memory in bytes of one way."""
     width, height = map(int, given.size[0].split("x"))
     device = choose_device(given.device)
-    settings = TrainSettings(
-        width=given.width,
-        batch_size=given.batch_size,
-        precision="bfloat16" if "bfloat16" in given.way else "float32",
-        compile=given.way.startswith("compiled"),
-        clip_norm=1.0,
-        device=given.device,
-        learning_rate=1e-6,
-    )
+    changes = {
+        "network.width": given.width,
+        "optimiser.batch_size": given.batch_size,
+        "optimiser.learning_rate": 1e-6,
+        "run.precision": "bfloat16" if "bfloat16" in given.way else "float32",
+        "run.device": given.device,
+    }
+    settings = settings_from_dict(merged(training_preset("known-wall")[0], tables(changes)), "options")
     inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5, "measured")
-    config = RunConfig(settings, inputs, FREQUENCIES_HZ[0], VIEW, width, height, "", "", "")
+    config = RunConfig(settings, inputs, FREQUENCIES_HZ[0], VIEW, width, height, "", "", "", "0" * 64)
     block = random_block(width, height, 4 * given.batch_size)
     step = plain_step if given.way == "plain" else our_step
     samples = rate(step(config, block, device), given.batch_size, given.seconds, device)
@@ -122,12 +121,11 @@ def random_block(width: int, height: int, count: int) -> RowBlock:
     direct = VIEW.direct_phasors(width, height, FREQUENCIES_HZ)
     opl_m = rng.uniform(6, 9, (count, height, width, 1))
     phasor = direct + 2e-3 * np.abs(direct) * np.exp(1j * opl_m * phase_per_metre(FREQUENCIES_HZ))
-    components = np.concatenate([phasor.real, phasor.imag], axis=-1)
     mask = (rng.random((count, height, width)) < 1 / 31).astype(np.uint8)
     return RowBlock(
         tuple(range(count)),
-        np.ascontiguousarray(np.moveaxis(components, -1, 1), np.float32),
-        (mask[:, None] * np.array([0.6, 0.8])[:, None, None]).astype(np.float32),
+        phasor.astype(np.complex64),
+        (mask * (0.6 + 0.8j)).astype(np.complex64),
         (2.5 * mask).astype(np.float32),
         mask,
     )
@@ -143,7 +141,7 @@ def our_step(config: RunConfig, block: RowBlock, device: torch.device) -> Callab
     generator = torch.Generator().manual_seed(0)
 
     def run() -> None:
-        chosen = torch.randperm(len(rows), generator=generator)[: config.settings.batch_size]
+        chosen = torch.randperm(len(rows), generator=generator)[: config.settings.optimiser.batch_size]
         draws = Draws.of(len(chosen), generator)
         step.take(step.loss_of(rows.take(chosen.tolist()), draws))
 
@@ -159,11 +157,12 @@ def plain_step(config: RunConfig, block: RowBlock, device: torch.device) -> Call
     rng = np.random.default_rng(0)
 
     def run() -> None:
-        part = block.take(rng.permutation(len(block))[: config.settings.batch_size].tolist())
-        z = part.complex_phasors()
+        part = block.take(rng.permutation(len(block))[: config.settings.optimiser.batch_size].tolist())
+        z = part.phasors
         noise = rng.standard_normal((*z.shape, 2)) @ np.array([1, 1j])
         channels = config.inputs.apply(z + 1e-4 * np.abs(z[..., :1]) * noise, reference)
-        arrays = [channels, part.target, part.radial_depth_m, part.mask.astype(np.float32)]
+        target = np.stack([part.target.real, part.target.imag], axis=1)
+        arrays = [channels, target, part.radial_depth_m, part.mask.astype(np.float32)]
         for index in np.flatnonzero(rng.random(len(part)) < 0.5):
             for array in arrays:
                 array[index] = np.flip(array[index], axis=-2).copy()
@@ -198,8 +197,9 @@ def roofline(given: argparse.Namespace) -> str:
     width, height = map(int, given.size[0].split("x"))
     device = choose_device(given.device)
     inputs = InputSpec("paper+residual", FREQUENCIES_HZ, 1.0, (1e-3,) * 5, "measured")
-    settings = TrainSettings(width=given.width)
-    config = RunConfig(settings, inputs, FREQUENCIES_HZ[0], VIEW, width, height, "", "", "")
+    changes = tables({"network.width": given.width})
+    settings = settings_from_dict(merged(training_preset("known-wall")[0], changes), "options")
+    config = RunConfig(settings, inputs, FREQUENCIES_HZ[0], VIEW, width, height, "", "", "", "0" * 64)
     network = config.network().to(device)
     written = 0
 

@@ -1,7 +1,7 @@
 """Size, time and memory of a transient on disk, in our layout with every lossless compression.
 
 Renders one scene (a sphere, wall roughness 0.3) with many-light or with the path tracer. Writes it as the
-scanlines of an EXR file (docs/files.md), and in chunks (T, W, H) as the HDF5 file of
+scanlines of an EXR file (docs/reference/files.md), and in chunks (T, W, H) as the HDF5 file of
 ``render.products.tal_export``. Checks that every file has the rendered bits. The disk cache is warm, and
 times do not include writing it to the disk. Memory is the peak of a process that only writes, or only
 reads, 64 MiB of rows at a time. Run:
@@ -180,7 +180,7 @@ def unpack(transient: Path, raw: Path) -> tuple[TransientLayout, float]:
 
 def render(settings: RenderSettings, raw: Path) -> tuple[TransientLayout, float]:
     """Render the first of the seven scenes and unpack its transient."""
-    # Imported late, because a process that has loaded bpy cannot spawn another (docs/design.md, Blender).
+    # Imported late: a process that has loaded bpy cannot spawn another (docs/science/design.md, Blender).
     from seven_scenes import seven_scenes
 
     with seven_scenes() as scenes:

@@ -21,7 +21,9 @@ from ablations import Row, judged, line
 from model.data.shards import Shards, open_shards
 from model.network.metrics import Summary
 from model.prediction.predictor import load
-from model.settings import settings_from_dict, training_preset
+from model.settings.keys import merged
+from model.settings.presets import training_preset
+from model.settings.train_settings import settings_from_dict
 from model.training.loop import train
 from render.products.conversion import convert_to_itof
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
@@ -45,12 +47,13 @@ def main() -> None:
     exact = open_dataset(given.dataset)
     converted = with_phasors_of_transients(exact, given.out / "converted")
     base = training_preset(given.preset)[0]
-    base |= {"width": given.width, "max_epochs": given.max_epochs, "patience": given.max_epochs}
+    epochs = {"max_epochs": given.max_epochs, "patience": given.max_epochs}
+    base = merged(base, {"network": {"width": given.width}, "run": epochs})
     results: dict[str, list[Summary]] = {EXACT: [], PHI: [], SIMULATED: []}
     for seed in range(given.seeds):
         for name, dataset in ((EXACT, exact), (PHI, converted), (SIMULATED, exact)):
             truth = {"ground_truth": "simulated"} if name == SIMULATED else {}
-            settings = settings_from_dict(base | truth | {"seed": seed}, name)
+            settings = settings_from_dict(merged(base, {"run": truth | {"seed": seed}}), name)
             out = given.out / f"{list(results).index(name)}-{seed}"
             train(dataset, out, settings, resume=(out / "run.json").is_file())
             shards = open_shards(dataset)

@@ -1,7 +1,7 @@
 """Where valid measurements show the relay wall: how far hidden light and noise move the fit of the wall.
 
 The wall is where the scenes have it, so everything that is found is error: it decides from which shift on the
-program may warn (docs/design.md, Wall found in the measurement). Run:
+program may warn (docs/science/design.md, Wall found in the measurement). Run:
 
     .venv/bin/python benchmarks/wall_found.py DATASET
 """

@@ -101,6 +101,23 @@ class NightCommand(click.Command):
         with _ending(self.name or ""):
             return super().make_context(*args, **extra)
 
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The options under their headings, in the order of the first of each; then the list of commands."""
+        self.format_sections(ctx, formatter)
+        if isinstance(self, click.Group):
+            self.format_commands(ctx, formatter)
+
+    def format_sections(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The options under their headings."""
+        sections: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
+            if record is not None:
+                sections.setdefault(getattr(parameter, "section", "Options"), []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Do the work."""
         logging.basicConfig(level=logging.INFO, format="%(message)s")
@@ -144,9 +161,7 @@ class DefaultGroup(NightGroup):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The default command's options, then the list of commands."""
-        parameters = self.commands[self.default].get_params(ctx)
-        options = [parameter for parameter in parameters if isinstance(parameter, click.Option)]
-        records = [record for option in options if (record := option.get_help_record(ctx)) is not None]
-        with formatter.section("Options"):
-            formatter.write_dl(records)
+        command = self.commands[self.default]
+        if isinstance(command, NightCommand):
+            command.format_sections(ctx, formatter)
         self.format_commands(ctx, formatter)

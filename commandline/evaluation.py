@@ -215,7 +215,7 @@ def export(run: Path, out: Path, as_json: bool) -> None:
     """Write the network of RUN as an ONNX file, checked against PyTorch.
 
     Input `channels` (N, C, H, W). The output is `components` (N, 2, H, W), or depth, or mask and depth, by
-    other names (docs/own_data.md); the run's settings are in the metadata.
+    other names (docs/guide/captures.md); the run's settings are in the metadata.
     """
     import model
 

@@ -9,19 +9,13 @@ import re
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, TypeVar
 
 import click
 
 from itof.sensor.cameras import load_sensor
-from itof.sensor.settings import SensorSettings
-from model.settings import training_fields
 from scenegen import Dataset
 from scenegen.preset import MOST_BOUNCES
-
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
 
@@ -118,47 +112,22 @@ class Sensor(click.ParamType):
         return load_sensor(value)
 
 
+class Sectioned(click.Option):
+    """An option that the help shows under a heading of its own."""
+
+    def __init__(self, *args: Any, section: str, **attributes: Any) -> None:
+        super().__init__(*args, **attributes)
+        self.section = section
+
+
+def option(section: str, *names: str, **attributes: Any) -> Callable[[_Command], _Command]:
+    """`click.option` under a heading."""
+    return click.option(*names, cls=Sectioned, section=section, **attributes)
+
+
 def options(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
     """Several options as one decorator, in their order."""
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
-
-
-def _option_type(field: FieldInfo) -> click.ParamType:
-    """The type of the option of a setting, with its bounds."""
-    if get_origin(field.annotation) is Literal:
-        return click.Choice(get_args(field.annotation))
-    if field.annotation is bool:
-        return click.BOOL
-    number, *metadata = _number_of(field)
-    if number is SensorSettings:
-        return Sensor()
-    if number not in (int, float):
-        return Megahertz()
-    names = ("ge", "gt", "le", "lt")
-    bounds = {name: getattr(item, name) for item in metadata for name in names if hasattr(item, name)}
-    kind = click.IntRange if number is int else Number
-    return kind(
-        min=bounds.get("ge", bounds.get("gt")),
-        max=bounds.get("le", bounds.get("lt")),
-        min_open="gt" in bounds,
-        max_open="lt" in bounds,
-    )
-
-
-def _number_of(field: FieldInfo) -> list[Any]:
-    """The type of a setting that may be None without that, then what bounds it."""
-    wanted = [kind for kind in get_args(field.annotation) if kind is not NoneType]
-    if len(wanted) != 1:
-        return [field.annotation, *field.metadata]
-    number, *marks = get_args(wanted[0]) if get_origin(wanted[0]) is Annotated else (wanted[0],)
-    return [number, *(item for mark in marks for item in getattr(mark, "metadata", [mark]))]
-
-
-def _training_option(name: str, field: FieldInfo) -> Callable[[_Command], _Command]:
-    """The option of a training setting; not given, it is None."""
-    flag = name.removesuffix("_hz").replace("_", "-")
-    words = f"--{flag}/--no-{flag}" if field.annotation is bool else f"--{flag}"
-    return click.option(name, words, type=_option_type(field), default=None, help=field.description)
 
 
 def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
@@ -166,51 +135,58 @@ def chosen_scenes(dataset: Dataset, only: tuple[str, ...]) -> list[str]:
     return [dataset.entry(scene_id).id for scene_id in dict.fromkeys(only)] or dataset.ids()
 
 
-TRAINING = options(*(_training_option(name, field) for name, field in training_fields().items()))
 DEVICE_HELP = "Where to compute; auto takes a GPU if there is one."
 DEVICES = click.Choice(["auto", "cpu", "cuda"])
 DEVICE = click.option("--device", type=DEVICES, default="auto", show_default=True, help=DEVICE_HELP)
 ONLY = click.option("--only", multiple=True, metavar="ID", help="Only this scene; may be repeated.")
+AGAIN = ("failed", "changed")
+ACCEPTED = ("edited", "lost-light", "small-disk")
 COUNT = click.IntRange(1, 1_000_000_000)  # of what is computed one by one: more takes for ever
+_METHOD, _RUN = "Method", "Run"
 RENDER_SETTINGS = options(
-    click.option("--method", help="many-light (the default), or path: slower, for any scene at all."),
     click.option(
         "--product",
         type=click.Choice(["itof", "transient", "both"]),
         help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
     ),
-    click.option("--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
-    click.option("--lights", type=COUNT, help="many-light: surface points, not --error."),
-    click.option(
+    click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
+    option(_METHOD, "--method", help="many-light (the default), or path: slower, for any scene at all."),
+    option(_METHOD, "--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
+    option(_METHOD, "--lights", type=COUNT, help="many-light: surface points, not --error."),
+    option(
+        _METHOD,
         "--spp",
         type=COUNT,
         help="path: paths per pixel (4096); the hidden signal's error is 10 to 15 / sqrt(spp).",
     ),
-    click.option("--max-bounces", type=click.IntRange(1, MOST_BOUNCES), help="Instead of the preset's."),
-    click.option("--device", type=DEVICES, help=DEVICE_HELP),
-    click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
+    option(_METHOD, "--max-bounces", type=click.IntRange(1, MOST_BOUNCES), help="Instead of the preset's."),
+    option(_METHOD, "--device", type=DEVICES, help=DEVICE_HELP),
 )
 RENDER_RUN = options(
-    click.option(
-        "--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs."
+    option(
+        _RUN, "--workers", type=click.IntRange(min=1), help="Processes (one a device), or --cluster jobs."
     ),
-    click.option("--scheduler", metavar="ADDRESS", help="Render on a Dask cluster, like tcp://host:8786."),
-    click.option("--cluster", type=FOLDER, metavar="FILE", help="Start one by this dask-jobqueue file."),
-    click.option("--retry-failed", is_flag=True, help="Try scenes again that failed before."),
-    click.option(
-        "--replace", is_flag=True, help="Render scenes again that were rendered with other settings."
+    option(
+        _RUN,
+        "--cluster",
+        metavar="WHERE",
+        help="Render on a Dask cluster: one that runs, like tcp://host:8786, or a dask-jobqueue file.",
     ),
-    click.option(
-        "--accept-edited",
-        is_flag=True,
-        help="Render scenes whose files are not those that night-gen made, from scene.json and the meshes.",
+    option(
+        _RUN,
+        "--again",
+        multiple=True,
+        type=click.Choice(AGAIN),
+        help="Render scenes again that failed before, or that have changed settings; may be repeated.",
     ),
-    click.option(
-        "--accept-lost-light",
-        is_flag=True,
-        help="Write transients although hidden light arrives outside the time axis.",
+    option(
+        _RUN,
+        "--accept",
+        multiple=True,
+        type=click.Choice(ACCEPTED),
+        help="Start although scenes are edited (from scene.json and the meshes), or hidden light arrives "
+        "outside the time axis, or the disk looks too small; may be repeated.",
     ),
-    click.option("--ignore-space", is_flag=True, help="Start although the disk looks too small."),
 )
 MASK_THRESHOLD = click.option(
     "--mask-threshold",

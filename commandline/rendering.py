@@ -20,8 +20,6 @@ from scenegen import Dataset, open_dataset
 if TYPE_CHECKING:
     from render import RenderSettings, RunOptions
 
-_RUN_OPTIONS = ("workers", "scheduler", "retry_failed", "replace", "ignore_space")
-
 
 @click.group(cls=DefaultGroup, default="render")
 def night_render() -> None:
@@ -171,6 +169,16 @@ def _chosen_run(dataset: Dataset, options: dict[str, Any]) -> tuple[RenderSettin
     """How to render, and the options of the run that change no pixel."""
     from render import RunOptions
 
-    run = {name: options.pop(name) for name in _RUN_OPTIONS}
-    run_options = RunOptions(cluster_file=options.pop("cluster"), **run)
+    workers, where = options.pop("workers"), options.pop("cluster")
+    again, accepted = options.pop("again"), options.pop("accept")
+    is_running = where is not None and "://" in where
+    run_options = RunOptions(
+        workers=workers,
+        scheduler=where if is_running else None,
+        cluster_file=Path(where) if where is not None and not is_running else None,
+        retry_failed="failed" in again,
+        replace="changed" in again,
+        ignore_space="small-disk" in accepted,
+    )
+    options |= {"accept_edited": "edited" in accepted, "accept_lost_light": "lost-light" in accepted}
     return _settings(dataset, options), run_options

@@ -82,7 +82,7 @@ def scenes(out: Path, preset: str | None, count: int | None, seed: int | None, w
 @click.option("--only", multiple=True, metavar="ID", help="Only this scene on the sheet; may be repeated.")
 @click.option("--licence", metavar="TEXT", help="Licence of the dataset, for its card; kept from then on.")
 def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | None) -> None:
-    """Draw a contact sheet and plots of DATASET, and write its card, README.md."""
+    """Draw a contact sheet and plots of DATASET, and write its card, README.md, and croissant.json."""
     from render.products import contact_sheet
     from render.products import preview as preview_files
     from scenegen.making.datasets import blender_maker

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from commandline.endings import NightCommand
-from commandline.options import FOLDER, TRAINING
+from commandline.options import FOLDER, option
 from commandline.results import JSON, tell
+from commandline.training_options import SET, TRAINING, given_settings
+from model.settings.keys import merged
 from scenegen import open_dataset
 from storage import PresetError
 
@@ -21,24 +23,23 @@ if TYPE_CHECKING:
 @click.command(cls=NightCommand)
 @click.argument("dataset", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
-@click.option(
-    "--preset", help="Settings: a name in data/training, or a .toml file.  [default for a new run: default]"
-)
 @click.option("--resume", is_flag=True, help="Go on with the run in --out, by its own settings.")
 @click.option(
     "--from",
     "start_from",
     type=FOLDER,
     metavar="RUN",
-    help="Start from the best weights of this run, with its network, input, readout, loss and optimiser "
-    "(fine-tuning).",
+    help="Fine-tuning: start from the best weights of this run, with its input, network, target and "
+    "algorithm.",
 )
-@TRAINING
 @JSON
+@option("Settings", "--preset", help="Settings of a name in data/training, or of a .toml file.")
+@SET
+@TRAINING
 def night_train(
     dataset: Path, out: Path, resume: bool, start_from: Path | None, as_json: bool, **options: Any
 ) -> None:
-    """Train a network on the renders of DATASET; options override the preset.
+    """Train a network on the renders of DATASET.
 
     Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
 
@@ -58,32 +59,26 @@ def night_train(
 
 
 def _chosen_settings(
-    out: Path, resume: bool, start_from: Path | None, preset: str | None, **options: Any
+    out: Path,
+    resume: bool,
+    start_from: Path | None,
+    preset: str | None,
+    assignments: tuple[str, ...],
+    **options: Any,
 ) -> TrainSettings:
-    """Settings of the run in `out` if it is resumed, then those of the preset, then the given options.
+    """The defaults or the settings of the run in `out`, changed by the preset, then by the options.
 
-    A run that starts from another one has the network, the input, the readout, the loss and the optimiser of
-    that one, not those of the preset.
+    A run that starts from another one has the input, the network, the target and the algorithm of that one,
+    not those of the preset.
     """
     import model
-    from model.idle_settings import idle_settings
 
     before = model.run_settings(out) if resume else {}
-    named = preset or (None if resume else "default")
-    data, origin = model.training_preset(named) if named else ({}, "options")
-    given = {name: value for name, value in options.items() if value is not None}
-    if "sensor" in given:
-        given["sensor"] = asdict(given["sensor"])
+    data, origin = model.training_preset(preset) if preset else ({}, "options")
     inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
-    without = before | data | inherited
+    without, given = merged(merged(before, data), inherited), given_settings(options, assignments)
     try:
-        settings = model.settings_from_dict(without | given, origin)
+        return model.settings_from_dict(merged(without, given), origin)
     except PresetError:
         model.settings_from_dict(without, origin)  # its own fault, if it has one
-        settings = model.settings_from_dict(without | given, "options")
-    idle = idle_settings(settings.target, settings.channels)
-    for name in sorted(given.keys() & idle.keys()):
-        if given[name] != without.get(name):
-            option = name.replace("_", "-")
-            raise click.UsageError(f"--{option} changes nothing with {idle[name]}: leave it out")
-    return settings
+        return model.settings_from_dict(merged(without, given), "options")

@@ -17,7 +17,7 @@ from .light import (
     phasor_of_return,
     unambiguous_range_m,
 )
-from .measurement import MeasurementMatrix, join_components, phasors, split_components
+from .measurement import MeasurementMatrix, phasors
 from .pinhole import pixel_rays, points_from_radial, radial_from_z, z_from_radial
 from .splat import WIDEST_REACH_BINS, Splat, highest_frequency_hz, splat_residue, splat_transfer
 from .unwrapping import combined_range_m, unwrap_depth
@@ -46,7 +46,6 @@ __all__ = [
     "direct_phasors",
     "highest_frequency_hz",
     "import_capture",
-    "join_components",
     "megahertz",
     "network_channels",
     "phase",
@@ -64,7 +63,6 @@ __all__ = [
     "residual_channels",
     "splat_residue",
     "splat_transfer",
-    "split_components",
     "unambiguous_range_m",
     "unwrap_depth",
     "weighted_reference",

@@ -6,17 +6,18 @@ The result is an array of the same library on the same device.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace, is_array_api_obj, is_numpy_array
+from array_api_compat import array_namespace, is_numpy_array
 
+from itof.arrays import A, Array, ChannelsOf, PhasorsOf, PixelsOf
 from itof.other_surfaces import only_wall
 from itof.weighted_reference import SubpixelWeights, check_weights, quotient, weighted_reference
 
 
-def network_channels(phasor: Any, amplitude_scale: float) -> Any:
+def network_channels(phasor: PhasorsOf[Array], amplitude_scale: float) -> ChannelsOf[Array]:
     """The paper's network input: [A_0 / scale, Re_f / A_0 (F of them), Im_f / A_0 (F of them)].
 
     A_0 is the amplitude at the first frequency (20 MHz in the paper). Pixels without light (A_0 = 0) are 0 in
@@ -45,7 +46,7 @@ def network_channels(phasor: Any, amplitude_scale: float) -> Any:
     return _image_axes_last(xp, [magnitude / amplitude_scale, xp.real(ratio), xp.imag(ratio)])
 
 
-def phasors_of_channels(channels: Any, amplitude_scale: float) -> Any:
+def phasors_of_channels(channels: ChannelsOf[Array], amplitude_scale: float) -> PhasorsOf[Array]:
     """Inverse of `network_channels`.
 
     Parameters
@@ -70,14 +71,18 @@ def phasors_of_channels(channels: Any, amplitude_scale: float) -> Any:
 
 
 def residual_channels(
-    phasor: Any, reference: Any, weights: SubpixelWeights = "measured", *, wall_alone: bool = False
-) -> Any:
+    phasor: PhasorsOf[Array],
+    reference: PhasorsOf[Array],
+    weights: SubpixelWeights = "measured",
+    *,
+    wall_alone: bool = False,
+) -> ChannelsOf[Array]:
     """Channels without the direct return: [Im r_f (F of them), Re r_f - Re r_0 (F - 1 of them)].
 
     r_f = (z_f / reference_f) |reference_0| / |z_0|. The division by the relay wall's known direct return
     removes its phase, and the loss of amplitude at higher frequencies that the different paths within a pixel
     cause. The direct part of r_f is 1 at every frequency and cancels in the channels; the hidden part, about
-    0.2 % of the signal, remains (docs/design.md, Input channels). Pixels without light are 0.
+    0.2 % of the signal, remains (docs/science/design.md, Input channels). Pixels without light are 0.
 
     *Weights.* The reference is that of a Lambertian wall. For a wall with another lobe, the different paths
     within a pixel have other weights. They are taken from the measured amplitudes
@@ -110,7 +115,7 @@ def residual_channels(
     ValueError : a reference with another image size or another number of frequencies, or unknown weights.
     """
     xp, z = _phasors(phasor)
-    known = reference if is_array_api_obj(reference) else np.asarray(reference)
+    known = _array(reference)
     _check_reference(known.shape, z.shape)
     known = _weighted(known, xp.abs(z[..., 0]), weights)
     turned = quotient(xp, z, known) * quotient(xp, xp.abs(known[..., :1]), xp.abs(z[..., :1]))
@@ -120,8 +125,11 @@ def residual_channels(
 
 
 def phasors_of_residual(
-    channels: Any, reference: Any, amplitude: Any, weights: SubpixelWeights = "measured"
-) -> Any:
+    channels: ChannelsOf[Array],
+    reference: PhasorsOf[Array],
+    amplitude: PixelsOf[Array],
+    weights: SubpixelWeights = "measured",
+) -> PhasorsOf[Array]:
     """Inverse of `residual_channels`, for pixels where the hidden part is smaller than the direct part.
 
     The channels determine every r_f except for the common Re r_0. Since |r_0| = 1, it is √(1 - Im² r_0), with
@@ -143,7 +151,7 @@ def phasors_of_residual(
     ValueError : a number of channels that does not match the reference, or unknown weights.
     """
     xp, c = _channels(channels)
-    known = reference if is_array_api_obj(reference) else np.asarray(reference)
+    known = _array(reference)
     count = known.shape[-1]
     if c.shape[-1] != 2 * count - 1:  # two per frequency, without Re r_0
         raise ValueError(
@@ -159,27 +167,33 @@ def phasors_of_residual(
     return (real + 1j * imaginary) * known * brightness
 
 
-def _phasors(phasor: Any) -> tuple[ModuleType, Any]:
-    """Array namespace, and the phasors as an array of it; lists become numpy arrays."""
-    z = phasor if is_array_api_obj(phasor) else np.asarray(phasor)
+def _array(values: Array) -> Array:
+    """Lists become numpy arrays."""
+    found: Array = np.asarray(values) if isinstance(values, Sequence) else values
+    return found
+
+
+def _phasors(phasor: PhasorsOf[Array]) -> tuple[ModuleType, PhasorsOf[Array]]:
+    """Array namespace, and the phasors as an array of it."""
+    z = _array(phasor)
     if z.ndim < 3:
         raise ValueError(f"expected phasors of shape (..., H, W, F), got {tuple(z.shape)}")
     return array_namespace(z), z
 
 
-def _channels(channels: Any) -> tuple[ModuleType, Any]:
-    """Array namespace, and the channels with the channel axis last; numpy arrays as float64."""
-    c = channels if is_array_api_obj(channels) else np.asarray(channels)
+def _channels(channels: ChannelsOf[Array]) -> tuple[ModuleType, Array]:
+    """Array namespace, and the channels (..., H, W, C); numpy arrays as float64."""
+    c = _array(channels)
     xp = array_namespace(c)
     return xp, xp.moveaxis(c.astype(np.float64) if is_numpy_array(c) else c, -3, -1)
 
 
-def _weighted(reference: Any, amplitude: Any, weights: SubpixelWeights) -> Any:
+def _weighted(reference: PhasorsOf[A], amplitude: PixelsOf[Array], weights: SubpixelWeights) -> PhasorsOf[A]:
     check_weights(weights)
     return weighted_reference(reference, amplitude) if weights == "measured" else reference
 
 
-def _image_axes_last(xp: ModuleType, parts: list[Any]) -> Any:
+def _image_axes_last(xp: ModuleType, parts: list[Array]) -> ChannelsOf[Array]:
     """(..., C, H, W) float32 of parts (..., H, W, c); numpy arrays in C order."""
     joined = xp.moveaxis(xp.astype(xp.concat(parts, axis=-1), xp.float32), -1, -3)
     return np.ascontiguousarray(joined) if is_numpy_array(joined) else joined

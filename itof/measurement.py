@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike, NDArray
 
 from itof.light import SPEED_OF_LIGHT, megahertz, phase_per_metre
@@ -83,7 +81,7 @@ class MeasurementMatrix:
         x = np.asarray(transient, dtype=np.float64)
         if x.ndim == 0 or x.shape[-1] != self.bin_count:
             raise ValueError(f"expected {self.bin_count} time bins on the last axis, got shape {x.shape}")
-        return join_components(x @ self.rows.T)
+        return _joined(x @ self.rows.T)
 
     def apply_streaming(self, row_blocks: Iterable[NDArray[np.float32]]) -> NDArray[np.complex128]:
         """Phasors of an image that arrives in blocks of rows, each (rows, W, T): (H, W, F) complex.
@@ -96,7 +94,7 @@ class MeasurementMatrix:
         rows = self.rows.T
         for block in row_blocks:
             # One image row at a time is converted: a float64 copy of a block would need twice its memory.
-            yield join_components(np.stack([row.astype(np.float64) @ rows for row in block]))
+            yield _joined(np.stack([row.astype(np.float64) @ rows for row in block]))
 
 
 def phasors(
@@ -126,17 +124,7 @@ def phasors(
     return MeasurementMatrix(tuple(frequencies_hz), x.shape[-1], bin_width_m, start_opl_m).apply(x)
 
 
-def join_components(components: Any) -> Any:
-    """(..., 2F) reals, F real parts, then F imaginary parts, to (..., F) complex phasors.
-
-    Numpy arrays, or arrays of another library of the array API; the result is of the same library.
-    """
-    z = components if is_array_api_obj(components) else np.asarray(components)
-    frequency_count = z.shape[-1] // 2
-    return z[..., :frequency_count] + 1j * z[..., frequency_count:]
-
-
-def split_components(phasor: ArrayLike) -> NDArray[np.float64]:
-    """(..., F) complex phasors to (..., 2F) reals: F real parts, then F imaginary parts."""
-    z = np.asarray(phasor)
-    return np.concatenate([z.real, z.imag], axis=-1)
+def _joined(components: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Products (..., 2F) with the cosines, then the sines of Φ as (..., F) complex phasors."""
+    real, imaginary = np.split(components, 2, axis=-1)
+    return real + 1j * imaginary

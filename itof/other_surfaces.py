@@ -9,18 +9,20 @@ Arrays may be of numpy or of any other library that supports the array API stand
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any, Final
+from typing import Final
 
 from array_api_compat import array_namespace
 
+from itof.arrays import A, PhasorsOf
+
 # Phases over the wall's direct return, radians. A pixel with the first shows another surface, and the fit of
 # the wall gives it no weight (`itof.wall.self_calibration`); its neighbours may be at the edge. The second is
-# above the hidden light of the preset `any-corner` (docs/experiments.md, Many corners).
+# above the hidden light of the preset `any-corner` (notebook/experiments.md, Many corners).
 ELSEWHERE_RAD: Final = 0.25
 _EDGE_RAD: Final = 0.05
 
 
-def only_wall(turned: Any) -> Any:
+def only_wall(turned: PhasorsOf[A]) -> PhasorsOf[A]:
     """The phasors of pixels that show the wall alone, and 0 in the others.
 
     The others are pixels without light at some frequency, or with a phase of more than 0.25 rad, and the
@@ -44,7 +46,7 @@ def only_wall(turned: Any) -> Any:
     return xp.where(left_out[..., None], xp.zeros_like(turned), turned)
 
 
-def _with_neighbours(xp: ModuleType, chosen: Any, axis: int) -> Any:
+def _with_neighbours(xp: ModuleType, chosen: A, axis: int) -> A:
     """(..., n) bool: whether a pixel or one of the two beside it, along `axis`, is chosen."""
     c = xp.moveaxis(chosen, axis, -1)
     none = xp.zeros_like(c[..., :1])

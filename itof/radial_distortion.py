@@ -6,19 +6,20 @@ Source: D. C. Brown, "Decentering distortion of lenses", Photogrammetric Enginee
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+_Radii = TypeVar("_Radii", float, NDArray[np.float64])
 _REAL = 1e-6  # imaginary over absolute value of a root that is real, but for rounding
 _HALVINGS = 60  # of the interval in which a radius is searched: to the last bit of a float64
 _LEAST = 1e-3  # radius from which the search of an upper limit starts
 
 
-def radial_factor(square: Any, coefficients: Sequence[float]) -> Any:
+def radial_factor(square: _Radii, coefficients: Sequence[float]) -> _Radii:
     """(...) factor 1 + k1 s + k2 s² + ... of radii with the squares s (...)."""
-    total = 0.0
+    total = 0 * square
     for coefficient in reversed(coefficients):
         total = square * (coefficient + total)
     return 1 + total

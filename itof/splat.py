@@ -7,12 +7,12 @@ u, the position of the return between two bin centres in bins, its phasor become
 
 The term m = 0 is a factor that all returns share, the transfer function; `itof.MeasurementMatrix` divides by
 it. The terms that are left, relative to it, are the residue. It differs from return to return, so that
-nothing can divide it out. docs/rendering.md (Time-resolved output) derives both.
+nothing can divide it out. docs/science/renderer.md (Time-resolved output) derives both.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +33,7 @@ def splat_transfer(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) ->
     return np.sinc(_wavelengths(frequency_hz, bin_width_m)) ** _ORDER[splat]
 
 
-def splat_residue(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) -> Any:
+def splat_residue(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) -> NDArray[np.float64]:
     """Largest error of Φ x that bins cause, relative to the light in them.
 
     Φ has divided by `splat_transfer`. With x = f w / c, what is left of a return at the worst place between
@@ -60,7 +60,7 @@ def splat_residue(frequency_hz: ArrayLike, bin_width_m: float, splat: Splat) -> 
     ------
     ValueError : a frequency at or above c / (2 bin_width_m), which these bins cannot resolve.
 
-    Source: derived in docs/rendering.md, for the weights of Hockney & Eastwood, Computer Simulation Using
+    Source: docs/science/renderer.md, for the weights of Hockney & Eastwood, Computer Simulation Using
     Particles, 1988, ch. 5.
     """
     x = _wavelengths(frequency_hz, bin_width_m)

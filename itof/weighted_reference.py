@@ -10,7 +10,7 @@ from typing import Literal, get_args
 
 from array_api_compat import array_namespace
 
-from itof.arrays import Array
+from itof.arrays import A, Array, PhasorsOf, PixelsOf
 
 SubpixelWeights = Literal["measured", "uniform"]
 # Neighbours that differ in brightness by more than this factor belong to different surfaces: the edge of a
@@ -18,7 +18,7 @@ SubpixelWeights = Literal["measured", "uniform"]
 _EDGE = 1.25
 
 
-def weighted_reference(reference: Array, amplitude: Array) -> Array:
+def weighted_reference(reference: PhasorsOf[A], amplitude: PixelsOf[Array]) -> PhasorsOf[A]:
     """The direct return `reference` of a Lambertian wall, for the wall that a measurement shows.
 
     The light of a pixel comes over different paths. `reference` weights them as a Lambertian wall does. A
@@ -34,7 +34,7 @@ def weighted_reference(reference: Array, amplitude: Array) -> Array:
     pixel, they are one-sided. The hidden light takes part in b, with 0.2 % of it, and is smooth.
 
     *Error.* The neglected terms fall with the fourth power of the pixel size (a test); what is left is in
-    docs/training.md, Rough walls. Noise of relative size σ in the amplitudes changes the phase by σ |g| / 17:
+    notebook/training.md, Rough walls. Noise of relative size σ in the amplitudes turns the phase by σ|g|/17:
     by less than σ / 40 at 40 x 30 pixels and 60 MHz, where |g| is at most 0.42.
 
     Parameters
@@ -56,7 +56,7 @@ def weighted_reference(reference: Array, amplitude: Array) -> Array:
     return reference * (1 + change / 12)
 
 
-def quotient(xp: ModuleType, dividend: Array, divisor: Array) -> Array:
+def quotient(xp: ModuleType, dividend: A, divisor: Array) -> A:
     """`dividend` / `divisor`, 0 where the divisor is 0."""
     defined = divisor != 0
     quotient = dividend / xp.where(defined, divisor, xp.ones_like(divisor))
@@ -69,7 +69,7 @@ def check_weights(weights: str) -> None:
         raise ValueError(f"subpixel weights are {' or '.join(get_args(SubpixelWeights))}, got {weights!r}")
 
 
-def log_slope(xp: ModuleType, values: Array, axis: int, largest_ratio: float | None = None) -> Array:
+def log_slope(xp: ModuleType, values: A, axis: int, largest_ratio: float | None = None) -> A:
     """Gradient of log(values) along an axis, per pixel; 0 where no neighbour can be compared.
 
     Neighbours are compared if both are not 0 and their ratio is at most `largest_ratio`. All differences are
@@ -86,21 +86,21 @@ def log_slope(xp: ModuleType, values: Array, axis: int, largest_ratio: float | N
     return xp.moveaxis(slope, -1, axis)
 
 
-def _log(xp: ModuleType, values: Array) -> Array:
+def _log(xp: ModuleType, values: A) -> A:
     """Logarithm of real or complex numbers; PyTorch's complex one takes twice the time of its two parts."""
     if not xp.isdtype(values.dtype, "complex floating"):
         return xp.log(values)
     return xp.log(xp.abs(values)) + 1j * xp.atan2(xp.imag(values), xp.real(values))
 
 
-def _slope_of_all(xp: ModuleType, step: Array) -> Array:
+def _slope_of_all(xp: ModuleType, step: A) -> A:
     """As `_slope_of_some`, and faster, where all of at least two steps are known."""
     first = step[..., :1] - (step[..., 1:2] - step[..., :1]) / 2
     last = step[..., -1:] + (step[..., -1:] - step[..., -2:-1]) / 2
     return xp.concat([first, (step[..., :-1] + step[..., 1:]) / 2, last], axis=-1)
 
 
-def _slope_of_some(xp: ModuleType, step: Array, known: Array, none: Array) -> Array:
+def _slope_of_some(xp: ModuleType, step: A, known: Array, none: A) -> A:
     """(..., n) slopes of (..., n - 1) steps between neighbours, of which only some are known.
 
     `none` is (..., 1) zeros.

@@ -11,7 +11,9 @@ from .refinement.judged_refinement import refine_split
 from .run_folder.compact import compact
 from .run_folder.run_config import fine_tuning_settings, run_settings
 from .run_folder.shipped import shipped_runs
-from .settings import TrainSettings, settings_from_dict, training_preset
+from .settings.keys import merged
+from .settings.presets import training_preset
+from .settings.train_settings import TrainSettings, settings_from_dict
 from .training.loop import train
 
 __all__ = [
@@ -27,6 +29,7 @@ __all__ = [
     "fine_tuning_settings",
     "judge_exposures",
     "load",
+    "merged",
     "predict_file",
     "refine_split",
     "run_settings",

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import torch
 from threadpoolctl import threadpool_limits
 
-from model.settings import DeviceName, Precision
+from model.settings.run import DeviceName, Precision
 from storage import NightError
 
 

@@ -12,7 +12,7 @@ from storage import NightError
 
 Device = Literal["auto", "cpu", "cuda"]
 
-# DrJit 1.5 aborts with LLVM 14 to 16 ("Cannot select: fminimum"); 19 works (docs/design.md, LLVM).
+# DrJit 1.5 aborts with LLVM 14 to 16 ("Cannot select: fminimum"); 19 works (docs/science/design.md, LLVM).
 MINIMUM_LLVM = 19
 INSTALL_LLVM = f"install LLVM {MINIMUM_LLVM} (Debian: apt install libllvm{MINIMUM_LLVM})"
 

@@ -21,15 +21,13 @@ def known_digest(dataset: Dataset, scene_id: str) -> str:
 
 
 def is_edited(dataset: Dataset, scene_id: str, digest: str) -> bool:
-    """Whether the files with this digest are not those of ``dataset.json``, or that is not known."""
+    """Whether the files with this digest are not those of ``dataset.json``."""
     return dataset.entry(scene_id).sha256 != digest
 
 
 def edited_attributes(dataset: Dataset, scene_id: str, digest: str) -> dict[str, str]:
     """Provenance of a render from files with this digest; empty for files as night-gen made them."""
-    if not is_edited(dataset, scene_id, digest):
-        return {}
-    return {SCENE_FILES: "edited" if dataset.entry(scene_id).sha256 else "unknown"}
+    return {SCENE_FILES: "edited"} if is_edited(dataset, scene_id, digest) else {}
 
 
 def refuse_measured(dataset: Dataset) -> None:
@@ -50,15 +48,10 @@ def refuse_edited(dataset: Dataset, scenes: Sequence[str]) -> None:
     if not scenes:
         return
     first = scenes[0]
-    if dataset.entry(first).sha256 is None:
-        raise RenderError(
-            f"{dataset.root / 'dataset.json'} (schema {dataset.index.schema_version}) has no hashes of the "
-            "scenes' files: run night-gen scenes again, which adds them, or give --accept-edited"
-        )
     others = f" (and {len(scenes) - 1} more)" if len(scenes) > 1 else ""
     raise RenderError(
         f"scene {first}{others} is not as night-gen made it: {differences(dataset.scene_folder(first))}; "
-        f"night-gen scenes {dataset.root} repairs it, and --accept-edited renders it as it is"
+        f"night-gen scenes {dataset.root} repairs it, and --accept edited renders it as it is"
     )
 
 

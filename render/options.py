@@ -5,7 +5,7 @@ without importing it:
 
 - `method`: name of the method, as ``--method`` takes it,
 - `phasor_parts`: number of phasor images that it writes for a scene,
-- `transient_fill`: size of its compressed transients divided by their raw size (docs/performance.md),
+- `transient_fill`: size of its compressed transients divided by their raw size (notebook/rendering.md),
 - `edge_divisions`: how often it divides pixels that an edge crosses.
 """
 
@@ -21,7 +21,7 @@ from storage import NightError
 _ONE_BOUNCE_SPP = 256
 # Divisions of a pixel that an edge crosses (render/transport/film/edge_pixels.py): the most, for errors up to
 # 1 %, and the fewest, also for the mirrored scene, which has no hidden light. One less makes the error of the
-# visible area 2^1.5 times as large (docs/rendering.md, Pixels with edges).
+# visible area 2^1.5 times as large (docs/science/renderer.md, Pixels with edges).
 FINEST_EDGES, COARSEST_EDGES, _FINEST_ERROR = 7, 4, 0.01
 
 

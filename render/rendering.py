@@ -217,7 +217,7 @@ class Renderer:
         except LostLightError as error:
             raise RenderError(
                 f"{what}: {error}: change start_opl_m and bin_count in [transient] of the preset, or accept "
-                "the loss with --accept-lost-light"
+                "the loss with --accept lost-light"
             ) from None
         return np.concatenate(phasors)
 

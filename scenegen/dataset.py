@@ -1,4 +1,4 @@
-"""The dataset folder, through which all stages exchange their files (docs/files.md).
+"""The dataset folder, through which all stages exchange their files (docs/reference/files.md).
 
 It contains ``dataset.json``, ``scenes/<id>/{scene.json,scene.xml,mirrored.xml,*.ply}``, ``renders/<id>/...``
 and ``shards/...``; ids are zero-padded indices. No path of a `Dataset` leads out of its folder.
@@ -14,7 +14,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
@@ -31,8 +31,7 @@ from storage.path_like import PathLike
 from storage.quantities import ClassName
 from storage.whole_writing import write_text
 
-DATASET_SCHEMAS = (1, 2, 3, 4)  # readable; the newest is written
-_DIGESTS_SINCE = 4
+DATASET_SCHEMA: Final = 4
 MEASURED_GENERATOR = "night-eval capture pairs"  # of datasets whose measurements are those of a camera
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
@@ -45,8 +44,9 @@ class DatasetError(NightError):
 class SceneEntry:
     """Id, class and split of one scene.
 
-    `sha256` is the digest of its folder (`scenegen.scene_folder.digest_of`) as night-gen made it; None before
-    schema 4. The text form has no digest, because the hash of training data is made from it.
+    `sha256` is the digest of its folder (`scenegen.scene_folder.digest_of`) as night-gen made it;
+    ``dataset.json`` has it, shards do not. The text form has no digest, because the hash of training data is
+    made from it.
     """
 
     id: Annotated[str, Field(pattern=r"^[0-9]{6,}$")]
@@ -69,7 +69,6 @@ class DatasetIndex:
     scenes : the scene list.
     packages : versions of the packages that the scenes' bytes depend on, by name.
     meshes : SHA-256 of the mesh files that the preset names, by shape.
-    rendering : only in datasets up to schema 2, read but not written; see `scenegen.rendering_record`.
     """
 
     generator: str
@@ -80,14 +79,13 @@ class DatasetIndex:
     scenes: Annotated[tuple[SceneEntry, ...], Field(min_length=1)]
     packages: dict[str, str] = Field(default_factory=dict)
     meshes: dict[str, str] = Field(default_factory=dict)
-    rendering: RenderingRecord | None = Field(default=None, exclude_if=lambda value: value is None)
-    schema_version: Literal[1, 2, 3, 4] = 4
+    schema_version: Literal[4] = DATASET_SCHEMA
 
     def __post_init__(self) -> None:
         if len({entry.id for entry in self.scenes}) < len(self.scenes):
             raise ValueError("two scenes have the same id")
-        if self.schema_version >= _DIGESTS_SINCE and not all(entry.sha256 for entry in self.scenes):
-            raise ValueError(f"a scene has no sha256, which schema {_DIGESTS_SINCE} must have")
+        if not all(entry.sha256 for entry in self.scenes):
+            raise ValueError("a scene has no sha256")
 
 
 @plain_dataclass(frozen=True)
@@ -116,7 +114,7 @@ class Dataset:
         DatasetError : ``renders/rendering.json`` is damaged.
         """
         try:
-            return read_rendering_record(self.renders) or self.index.rendering
+            return read_rendering_record(self.renders)
         except ContractError as error:
             raise DatasetError(str(error)) from None
 
@@ -234,9 +232,9 @@ def open_dataset(root: PathLike) -> Dataset:
     except (ValueError, RecursionError) as error:  # also numbers too long, and lists too deep
         raise DatasetError(f"{file} cannot be read as JSON: {error}") from None
     schema = data.get("schema_version") if isinstance(data, dict) else None
-    if schema not in DATASET_SCHEMAS:
+    if schema != DATASET_SCHEMA:
         raise DatasetError(
-            f"{file} has schema version {schema}, this program reads versions up to {DATASET_SCHEMAS[-1]}: "
+            f"{file} has schema version {schema}, this program reads version {DATASET_SCHEMA}: "
             "make the dataset again, or use the version of NIGHT that made it"
         )
     for name in ("scenes", "renders", "shards"):

@@ -1,7 +1,7 @@
 """Presets: every number of a dataset, with its unit and its allowed range; read from TOML, checked once.
 
 Defaults are the values of Caligiuri et al. 2024 where the paper gives them, else those of the released code,
-else ours (docs/design.md, Scene).
+else ours (docs/science/design.md, Scene).
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class ShapeSizes:
     """Extents of each primitive along its own axes, and the longest side of every mesh; metres.
 
     The paper gives only "up to 0.5 m³", which is ambiguous. With these sizes, the ratio of background to
-    object pixels is near that of the released code's training log (docs/design.md, Primitive sizes). The
+    object pixels is near that of the released training log (docs/science/design.md, Primitive sizes). The
     extents of the concave plane are sagitta, chord and
     height of an arc of radius 0.35 m over ±1 rad, 0.6 m high.
     """

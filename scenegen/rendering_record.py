@@ -1,7 +1,7 @@
 """How a dataset was rendered: ``renders/rendering.json``.
 
 ``dataset.json`` says how the scenes were made and belongs to ``night-gen``; this file belongs to
-``night-render``. Up to schema 2, ``dataset.json`` held it under the key ``rendering``.
+``night-render``.
 """
 
 from __future__ import annotations

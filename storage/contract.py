@@ -10,12 +10,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, from_json
 
 from storage.night_error import NightError
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
+_QUOTE = "'"
 _MOST_CHARACTERS = 100  # of a value in a message
 # What a value must be, by pydantic's name of the problem, where its own words name types of Python.
 _WANTED = {
@@ -28,6 +29,7 @@ _WANTED = {
     "list_type": "a list of values in [ ]",
     "dict_type": "a table of keys and values",
     "dataclass_type": "a table of keys and values",
+    "model_attributes_type": "a table of keys and values",
 }
 
 
@@ -58,7 +60,7 @@ def checked(
     try:
         return adapter.validate_json(text)
     except ValidationError as error:
-        raise refusal(f"{origin}: {_problem(error.errors()[0])}") from None
+        raise refusal(f"{origin}: {_problem(error.errors()[0], text)}") from None
 
 
 def checked_data(
@@ -72,10 +74,16 @@ def checked_data(
     return checked(adapter, text, origin, refusal)
 
 
-def _problem(error: ErrorDetails) -> str:
-    """What is wrong with a key, and what it must be."""
-    kind, place = error["type"], error["loc"]
+def _problem(error: ErrorDetails, text: str | bytes) -> str:
+    """What is wrong with a key of the text, and what it must be."""
+    kind, place = error["type"], _place_in_text(error, text)
     key = ".".join(str(part) for part in place) or "the file"
+    if kind.startswith("union_tag_"):
+        said = error["ctx"]
+        tag = f"{key}.{said['discriminator'].strip(_QUOTE)}"
+        if "tag" not in said:
+            return f"key {tag} is missing"
+        return f"{tag} must be one of {said['expected_tags']} (got {said['tag']!r})"
     if kind in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown key {key}"
     if kind == "missing" and place and isinstance(place[-1], int):
@@ -95,6 +103,23 @@ def _problem(error: ErrorDetails) -> str:
     if message.startswith("Input should be "):
         return f"{key} must be {message.removeprefix('Input should be ')}{given}"
     return f"{key}: {message}{given}"
+
+
+def _place_in_text(error: ErrorDetails, text: str | bytes) -> tuple[int | str, ...]:
+    """Keys and indices that lead to the error: those of pydantic without the kinds of tables."""
+    if error["type"] == "json_invalid":
+        return error["loc"]
+    data: Any = from_json(text)
+    place: list[int | str] = []
+    for part in error["loc"]:
+        if isinstance(data, dict) and part not in data and part in data.values():
+            continue
+        place.append(part)
+        try:
+            data = data[part]
+        except (IndexError, KeyError, TypeError):
+            data = None
+    return tuple(place)
 
 
 def _shortened(value: object) -> str:

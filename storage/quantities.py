@@ -8,6 +8,7 @@ from pydantic import Field
 
 WholeCount = Annotated[int, Field(ge=1, le=1_000_000_000)]
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 _Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # metres or degrees, also beyond those of presets
 FARTHEST_M = 1000

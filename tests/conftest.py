@@ -58,7 +58,7 @@ def render_cluster(tmp_path_factory):
 @pytest.fixture(scope="session")
 def render_here(render_cluster):
     """Run ``night-render`` in this process; the workers of `render_cluster` render."""
-    return lambda *arguments: night_here("night-render", *arguments, "--scheduler", render_cluster)
+    return lambda *arguments: night_here("night-render", *arguments, "--cluster", render_cluster)
 
 
 @pytest.fixture(scope="session")
@@ -125,7 +125,7 @@ def shards(closed_form_scenes):
 @pytest.fixture(scope="session")
 def phasors(shards):
     """(3, H, W, F) phasors of the first closed-form scenes."""
-    return shards.complex_phasors([0, 1, 2])
+    return shards.read([0, 1, 2]).phasors
 
 
 @pytest.fixture(scope="session")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from itof.arrays import S
 from itof.capture.averaging import average
 from itof.capture.binning import Binning
 from itof.capture.demodulating import frame_phasors, sensor_pixels
@@ -130,7 +130,7 @@ def capture_of(
     return Capture(z, sidecar.frequencies_hz, _turned(full, sidecar), facts)
 
 
-def _turned(image: NDArray[Any], sidecar: Sidecar) -> NDArray[Any]:
+def _turned(image: NDArray[S], sidecar: Sidecar) -> NDArray[S]:
     """The image (H, W, F) with rows from the top and columns from the left."""
     image = image[::-1] if sidecar.rows_from_bottom else image
     return image[:, ::-1] if sidecar.columns_from_right else image

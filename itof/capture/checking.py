@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from itof.arrays import Phasors
 from itof.capture.capture import ImageShape, read_capture
 from itof.capture.check_picture import refuse_other_picture, write_picture
 from itof.capture.facts import CaptureFacts, milliradians
@@ -89,9 +90,9 @@ class CaptureCheck:
 class _Images:
     """Images (N, H, W, F) to check, and what is known about them."""
 
-    phasors: NDArray[Any]
+    phasors: Phasors
     frequencies_hz: tuple[float, ...]
-    reference: NDArray[Any] | None
+    reference: Phasors | None
     fov_deg: float
     facts: CaptureFacts | None = None
     reference_facts: CaptureFacts | None = None
@@ -112,6 +113,8 @@ def check_capture(
 ) -> CaptureCheck:
     """Judge raw frames, or a measurement file, without a network.
 
+    Parameters that are not listed are those of `import_capture`.
+
     Parameters
     ----------
     inputs : raw frames with a `sidecar`; without, one measurement file as `import_capture` writes it.
@@ -119,8 +122,6 @@ def check_capture(
         an import beside it.
     picture : PNG file to write; it shows the first image that is refused, or else the first one. Only an
         earlier picture of a check is replaced.
-
-    The other parameters are those of `import_capture`.
 
     Raises
     ------

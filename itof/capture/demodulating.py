@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from itof import phasor_of_return, radial_from_z
+from itof.arrays import Complex, Numbers
 from itof.capture.averaging import NO_LIGHT
 from itof.capture.phase_steps import phasor_weights
 from itof.capture.raw_frames import RawFrames
@@ -98,21 +99,21 @@ def sensor_pixels(raw: RawFrames, sidecar: Sidecar) -> SensorPixels:
     return SensorPixels(saturated, dead)
 
 
-def _reaches(values: NDArray[Any], size: float) -> NDArray[np.bool_]:
+def _reaches(values: Numbers, size: float) -> NDArray[np.bool_]:
     """Whether numbers are as large; the absolute value of the smallest whole number of a type overflows."""
     if values.dtype.kind == "c":
         return np.asarray(np.abs(values) >= size)
     return np.asarray((values >= size) | (values <= -size))
 
 
-def _image(frame: NDArray[Any], partner: NDArray[Any] | None, sidecar: Sidecar) -> NDArray[Any]:
+def _image(frame: Numbers, partner: Numbers | None, sidecar: Sidecar) -> Complex:
     """(F, 1, 1, H, W) phasors of images that were demodulated before."""
     if partner is None:
         return frame.astype(np.complex128)
     if sidecar.layout == "phasors":
-        return frame.astype(np.float64) + 1j * partner
+        return frame.astype(np.float64) + 1j * partner.astype(np.float64)
     if sidecar.layout == "amplitude-phase":
-        return partner * np.exp(2j * np.pi * frame.astype(np.float64) / _period(sidecar))
+        return partner.astype(np.float64) * np.exp(2j * np.pi * frame.astype(np.float64) / _period(sidecar))
     depth_m = frame.astype(np.float64) / _PER_METRE[sidecar.depth_unit]
     if sidecar.depth_along == "axis":
         depth_m = radial_from_z(depth_m, sidecar.horizontal_fov_deg)

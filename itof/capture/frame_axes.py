@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from itof.arrays import S
 from itof.capture.sidecar import AXES, CaptureError
 
 
-def ordered(values: NDArray[Any], axes: Sequence[str], sizes: Mapping[str, int], what: str) -> NDArray[Any]:
+def ordered(values: NDArray[S], axes: Sequence[str], sizes: Mapping[str, int], what: str) -> NDArray[S]:
     """A view, if possible, of an array with all six axes; those that it does not have get the size 1.
 
     Parameters
@@ -62,7 +62,7 @@ def _split(parts: list[str], size: int, sizes: Mapping[str, int], what: str) -> 
     return [sizes.get(part, size // known) for part in parts]
 
 
-def stacked(arrays: Sequence[NDArray[Any]], along: str | None, what: str) -> NDArray[Any]:
+def stacked(arrays: Sequence[NDArray[S]], along: str | None, what: str) -> NDArray[S]:
     """Arrays of six axes as one, side by side along one of them.
 
     Raises

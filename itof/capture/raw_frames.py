@@ -6,11 +6,12 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from itof.arrays import Numbers
 from itof.capture.frame_axes import ordered, stacked
 from itof.capture.sidecar import TOO_COARSE, CaptureError, Sidecar
 from itof.files.array_claims import RefusedError
@@ -23,8 +24,6 @@ LARGEST: Final = 1e30  # number whose square can be summed
 _MOST_NAMES = 20  # of arrays in a sentence
 _SHORTEST_S, _LONGEST_S = 1e-12, 1e6  # of an exposure
 _FEW = 3  # files in a sentence
-
-Arrays = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,9 @@ class RawFrames:
     source : the files, for messages.
     """
 
-    values: Arrays
-    partner: Arrays | None
-    dark: Arrays | None
+    values: Numbers
+    partner: Numbers | None
+    dark: Numbers | None
     exposures_s: NDArray[np.float64]
     source: str
 
@@ -118,7 +117,7 @@ class _Group:
     def __init__(self, files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar) -> None:
         self.files, self.sidecar = files, sidecar
 
-    def read(self, names: tuple[str, ...], axes: tuple[str, ...] = ()) -> Arrays:
+    def read(self, names: tuple[str, ...], axes: tuple[str, ...] = ()) -> Numbers:
         """The arrays of these names as one; those of several files are further frames."""
         axes, along, source = axes or self.sidecar.axes, self.sidecar.stacked_along, str(self.files[0][0])
         of_files = [
@@ -133,7 +132,7 @@ class _Group:
         given = [[view for view in group if view is not None] for group in groups]
         return stacked([stacked(group, "frame", source) for group in given if group], along, source)
 
-    def _view(self, file: Path, contents: FileContents, name: str, axes: tuple[str, ...]) -> Arrays | None:
+    def _view(self, file: Path, contents: FileContents, name: str, axes: tuple[str, ...]) -> Numbers | None:
         """An array of a file with six axes; None if the file does not have it."""
         values = contents.arrays.get(name)
         if values is None:
@@ -144,7 +143,7 @@ class _Group:
             _refuse_complex(values, what)
         return ordered(values, axes, _sizes(self.sidecar), what)
 
-    def numbers(self, name: str) -> Arrays:
+    def numbers(self, name: str) -> Numbers:
         """All values of a list."""
         found = [(file, contents.arrays[name]) for file, contents in self.files if name in contents.arrays]
         if not found:
@@ -193,7 +192,7 @@ def _sizes(sidecar: Sidecar) -> dict[str, int]:
     return sizes
 
 
-def _refuse_sizes(sidecar: Sidecar, values: Arrays, source: str) -> None:
+def _refuse_sizes(sidecar: Sidecar, values: Numbers, source: str) -> None:
     """Refuse frames without an axis that they need."""
     names = ", ".join(sidecar.arrays[:_FEW]) + (", ..." if len(sidecar.arrays) > _FEW else "")
     what = f"the array {names} has" if len(sidecar.arrays) == 1 else f"the arrays {names} together have"
@@ -208,7 +207,7 @@ def _refuse_sizes(sidecar: Sidecar, values: Arrays, source: str) -> None:
             )
 
 
-def _refuse_values(values: Arrays, what: str) -> None:
+def _refuse_values(values: Numbers, what: str) -> None:
     if values.dtype.kind in "iu" and values.dtype.itemsize == 1:
         raise CaptureError(f"{what}: {TOO_COARSE}")
     if not values.size:
@@ -226,14 +225,14 @@ def _refuse_values(values: Arrays, what: str) -> None:
         raise CaptureError(f"{what} holds {largest:g}, and {LARGEST:g} is the most: write it in another unit")
 
 
-def _refuse_complex(values: Arrays, what: str) -> None:
+def _refuse_complex(values: Numbers, what: str) -> None:
     if values.dtype.kind == "c":
         raise CaptureError(
             f"{what} must hold real numbers, got {values.dtype}: is it another array, or the layout phasors?"
         )
 
 
-def _joined(parts: list[Arrays], source: str) -> Arrays:
+def _joined(parts: list[Numbers], source: str) -> Numbers:
     """Arrays of single frequencies as one."""
     frames = {part.shape[0] for part in parts}
     if len(frames) > 1:
@@ -244,7 +243,7 @@ def _joined(parts: list[Arrays], source: str) -> Arrays:
     return stacked(parts, "frequency", source)
 
 
-def _refuse_other_shape(values: Arrays, partner: Arrays | None, source: str) -> None:
+def _refuse_other_shape(values: Numbers, partner: Numbers | None, source: str) -> None:
     """Refuse amplitudes or imaginary parts of another shape than what they belong to."""
     if partner is not None and values.shape != partner.shape:
         raise CaptureError(
@@ -273,7 +272,7 @@ def _exposures(sidecar: Sidecar, parts: list[_Group], count: int, source: str) -
 
 def _dark(
     sidecar: Sidecar, parts: list[_Group], folder: Path, shape: tuple[int, ...], source: str
-) -> Arrays | None:
+) -> Numbers | None:
     if not sidecar.dark_arrays:
         return None
     axes = sidecar.dark_axes or sidecar.axes

@@ -6,11 +6,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from itof.arrays import Bools, Complex, PixelsOf, Reals
 from itof.exr.header import ImageFileError
 from itof.exr.image import Image, phasor_channels, read_image, write_image
 from itof.light import phasor_of_return
@@ -35,22 +35,22 @@ class DepthMap:
     Source: Caligiuri et al. 2024, sec. 4.1 (the mirror trick); their released code (amplitude 1).
     """
 
-    radial_depth_m: NDArray[np.floating[Any]]
-    mask: NDArray[np.bool_]
-    phasor: NDArray[np.complexfloating[Any, Any]]
+    radial_depth_m: PixelsOf[Reals]
+    mask: PixelsOf[Bools]
+    phasor: PixelsOf[Complex]
     frequency_hz: float
-    depth_error_m: NDArray[np.floating[Any]] | None = None
+    depth_error_m: PixelsOf[Reals] | None = None
 
     @classmethod
     def of_object(
-        cls, radial_depth_m: NDArray[np.floating[Any]], mask: NDArray[np.bool_], frequency_hz: float
+        cls, radial_depth_m: PixelsOf[Reals], mask: PixelsOf[Bools], frequency_hz: float
     ) -> DepthMap:
         """The depth map of a known object, with its phasor of amplitude 1."""
         phasor = np.where(mask, phasor_of_return(radial_depth_m, frequency_hz), 0.0)
         return cls(radial_depth_m, mask, phasor, frequency_hz)
 
     @property
-    def depth(self) -> NDArray[np.floating[Any]]:
+    def depth(self) -> PixelsOf[Reals]:
         """`radial_depth_m`: (..., H, W) metres *along the ray* of each pixel, 0 on background."""
         return self.radial_depth_m
 

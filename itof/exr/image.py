@@ -1,6 +1,6 @@
 """EXR images with named channels: phasors and depth maps.
 
-Layout (docs/files.md has the reasons): named FLOAT channels of H x W. Phasors are ``<prefix>.<f>MHz.Re`` and
+Layout (docs/reference/files.md): named FLOAT channels of H x W. Phasors are ``<prefix>.<f>MHz.Re`` and
 ``.Im``. Transients are in `itof.exr.transient`.
 
 All files have lossless compression (ZIPS: one scanline per block) and float32 values. Every attribute is

@@ -31,7 +31,7 @@ MOST_WRITTEN_BYTES = 2**31 - 1
 _COPIES = 3  # of a block: also as float64; of the phasors: in blocks, joined, and for what follows
 _MOST_M = 1e12
 _MOST_BINS = 10_000_000  # as in presets; phasors need numbers for every bin
-_READ_BYTES = 64 * 2**20  # a row block of this size reads at full speed (docs/design.md, Transient files)
+_READ_BYTES = 64 * 2**20  # such a row block reads at full speed (docs/science/design.md, Transient files)
 
 
 @dataclass(frozen=True)

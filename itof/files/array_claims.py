@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -42,14 +42,14 @@ class Claims:
     path: Path
     taken: int = 0
 
-    def add(self, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], packed: int) -> None:
+    def add(self, name: str, dtype: np.dtype[np.generic], shape: tuple[int, ...], packed: int) -> None:
         """Check the claim of an array (`check_claim`) that is read beside those before it."""
         check_claim(self.path, name, dtype, shape, packed, taken=self.taken)
         self.taken += math.prod(shape) * dtype.itemsize
 
 
 def check_claim(
-    path: Path, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], packed: int, *, taken: int = 0
+    path: Path, name: str, dtype: np.dtype[np.generic], shape: tuple[int, ...], packed: int, *, taken: int = 0
 ) -> None:
     """Refuse an array that is not of numbers, or larger than its file or this machine can hold.
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Numbers
 from itof.files.array_claims import Claims, RefusedError, check_claim
 
 _MOST_NAMES = 1000  # that are listed
@@ -28,7 +28,7 @@ _FILTERS: Final = {
 _ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, OverflowError)
 
 
-def read_hdf5(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[Any]], list[str]]:
+def read_hdf5(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], list[str]]:
     """The data sets among `wanted` that a file has, and the names of all that is in its root group.
 
     Raises
@@ -65,7 +65,7 @@ def _is_data_set(path: Path, name: str, file: h5py.File) -> bool:
     return isinstance(file[name], h5py.Dataset)
 
 
-def _read(claims: Claims, name: str, file: h5py.File) -> NDArray[Any]:
+def _read(claims: Claims, name: str, file: h5py.File) -> Numbers:
     path, data = claims.path, file[name]
     plan = data.id.get_create_plist()
     if data.is_virtual or plan.get_layout() not in _LAYOUTS:
@@ -95,7 +95,7 @@ def _read(claims: Claims, name: str, file: h5py.File) -> NDArray[Any]:
     return values if parts is None else values.view(dtype)
 
 
-def _parts_of_complex(kind: np.dtype[Any]) -> np.dtype[Any] | None:
+def _parts_of_complex(kind: np.dtype[np.void]) -> np.dtype[np.void] | None:
     """How real and imaginary part of MATLAB's complex numbers lie beside each other; None for others."""
     if kind.names != ("real", "imag"):
         return None

@@ -7,11 +7,11 @@ of numbers are read: no objects, structures, cells, functions, texts and sparse 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Numbers
 from itof.files.array_claims import Claims, RefusedError
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -31,7 +31,7 @@ def is_hdf5(path: Path) -> bool:
     return start.startswith(_HDF5) or start[_BLOCK:] == _HDF5
 
 
-def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[Any]], list[str]]:
+def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], list[str]]:
     """The arrays among `wanted` that a file has, and the names of all its variables.
 
     Raises
@@ -60,7 +60,7 @@ def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[Any
     return found, [name for name, _, _ in listed]
 
 
-def _of_kind(values: NDArray[Any], kind: str) -> NDArray[Any]:
+def _of_kind(values: Numbers, kind: str) -> Numbers:
     """Numbers in the type of their variable: MATLAB stores whole numbers in fewer bytes.
 
     scipy can restore the type too (`mat_dtype`), but drops imaginary parts then.

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Numbers
 from itof.exr.header import ImageFileError
 from itof.exr.image import read_image
 from itof.files.array_claims import ARRAYS, RefusedError
@@ -25,7 +25,7 @@ from itof.files.mat_reading import is_hdf5, read_mat
 from itof.files.npz_reading import read_npz
 from storage.machine_memory import machine_bytes
 
-Contents = tuple[dict[str, NDArray[Any]], list[str]]
+Contents = tuple[dict[str, Numbers], list[str]]
 _CPU_SECONDS = (
     60  # for any file, and one more for every megabyte: reading an honest file takes a tenth of that
 )
@@ -118,7 +118,7 @@ def _read_channels(path: Path, wanted: tuple[str, ...]) -> Contents:
     return {name: channels[name] for name in wanted if name in channels}, list(channels)
 
 
-def _send(out: BinaryIO, head: dict[str, Any], *arrays: NDArray[Any]) -> None:
+def _send(out: BinaryIO, head: dict[str, Any], *arrays: Numbers) -> None:
     with out:
         out.write(json.dumps(head).encode("ascii") + b"\n")
         for values in arrays:

@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Complex, Numbers, Phasors
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.measurement_process import FileContents, read_contents
 from itof.light import megahertz
@@ -49,9 +49,9 @@ class Measurement:
     """
 
     path: Path
-    phasors: NDArray[np.complexfloating[Any, Any]]
+    phasors: Phasors
     frequencies_hz: tuple[float, ...]
-    reference: NDArray[np.complexfloating[Any, Any]] | None
+    reference: Phasors | None
     in_training_unit: bool
     ignored: tuple[str, ...] = ()
 
@@ -114,14 +114,13 @@ def measurement_of(path: Path, contents: FileContents) -> Measurement:
             there = ", ".join(sorted(contents.names)[:20]) or "nothing"
             raise MeasurementError(f"{path} has no array {name}; it holds {there}")
     frequencies_hz = _frequencies(path, found["frequencies_hz"])
-    phasors = found["phasors"]
     count = len(frequencies_hz)
-    _refuse_other_axes(path, "phasors", phasors, count, "(H, W, F) or (N, H, W, F)", (3, 4))
+    phasors = _phasors(path, "phasors", found["phasors"], count, "(H, W, F) or (N, H, W, F)", (3, 4))
     phasors = phasors if phasors.ndim == 4 else phasors[None]
     _refuse_not_finite(path, "phasors", phasors)
-    reference = found.get("reference")
-    if reference is not None:
-        _refuse_other_axes(path, "reference", reference, count, "(H, W, F)", (3,))
+    reference = None
+    if "reference" in found:
+        reference = _phasors(path, "reference", found["reference"], count, "(H, W, F)", (3,))
         _refuse_not_finite(path, "reference", reference[None])
         if reference.shape != phasors.shape[1:]:
             raise MeasurementError(
@@ -143,7 +142,7 @@ def measurement_of(path: Path, contents: FileContents) -> Measurement:
     )
 
 
-def _frequencies(path: Path, values: NDArray[Any]) -> tuple[float, ...]:
+def _frequencies(path: Path, values: Numbers) -> tuple[float, ...]:
     if values.dtype.kind not in "iuf" or values.ndim != 1 or not values.size:
         raise MeasurementError(
             f"{path}: frequencies_hz must be a list of numbers, got {values.dtype} of shape {values.shape}"
@@ -154,9 +153,10 @@ def _frequencies(path: Path, values: NDArray[Any]) -> tuple[float, ...]:
     return frequencies_hz
 
 
-def _refuse_other_axes(
-    path: Path, name: str, values: NDArray[Any], frequency_count: int, shape: str, axes: tuple[int, ...]
-) -> None:
+def _phasors(
+    path: Path, name: str, values: Numbers, frequency_count: int, shape: str, axes: tuple[int, ...]
+) -> Phasors:
+    """`values`, if they are complex and have one of these numbers of axes."""
     if values.dtype.kind != "c":
         raise MeasurementError(f"{path}: {name} must be complex, Re + j Im, got {values.dtype}")
     if values.ndim not in axes or not values.size:
@@ -166,9 +166,10 @@ def _refuse_other_axes(
             f"{path}: {name} of shape {values.shape} must have {frequency_count} values on its last axis, "
             "one for each of frequencies_hz"
         )
+    return cast(Complex, values)
 
 
-def _refuse_not_finite(path: Path, name: str, images: NDArray[Any]) -> None:
+def _refuse_not_finite(path: Path, name: str, images: Numbers) -> None:
     """Refuse (N, H, W, F) images with NaN or infinite values; the message names the first one."""
     for index, image in enumerate(images):
         bad = int(np.count_nonzero(~np.isfinite(image)))

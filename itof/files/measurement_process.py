@@ -16,11 +16,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen
-from typing import IO, Any, Final
+from typing import IO, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Numbers
 from itof.files.array_claims import ARRAYS, Claims, RefusedError
 
 _MOST_HEAD_BYTES = 16 * 2**20
@@ -38,7 +38,7 @@ _ENVIRONMENT: Final = {
 class FileContents:
     """Arrays of a measurement file by name, and the names of all that it has."""
 
-    arrays: dict[str, NDArray[Any]]
+    arrays: dict[str, Numbers]
     names: list[str]
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from itof.arrays import Numbers
 
 ENDINGS: Final = (".npz", ".h5", ".hdf5")
 
 
-def write_measurement(partial: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_measurement(partial: Path, arrays: Mapping[str, Numbers]) -> None:
     """Write arrays by name to a temporary file, as ``.npz`` or HDF5 by its ending."""
     stream = BytesIO()  # which has room: on a full disk, zipfile says too much, and HDF5 ends the process
     if partial.suffix.lower() == ".npz":

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Numbers
 from itof.files.array_claims import Claims, RefusedError
 
 _STEP = 16 * 2**20  # bytes unpacked at a time
@@ -35,7 +35,7 @@ _ERRORS = (
 )
 
 
-def read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, NDArray[Any]], list[str]]:
+def read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], list[str]]:
     """The arrays among `wanted` that a file has, and the names of all its arrays.
 
     Raises
@@ -72,7 +72,7 @@ def _refuse_other_kinds(path: Path, start: bytes) -> None:
         )
 
 
-def _read(claims: Claims, name: str, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+def _read(claims: Claims, name: str, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Numbers:
     with archive.open(entry) as member:
         shape, fortran_order, dtype = _header(member)
         claims.add(name, dtype, shape, entry.compress_size)
@@ -90,7 +90,7 @@ def _read(claims: Claims, name: str, archive: zipfile.ZipFile, entry: zipfile.Zi
     return values
 
 
-def _header(member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+def _header(member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[np.number[Any]]]:
     """Shape, whether the order is Fortran's, and number type."""
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,

@@ -10,13 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 
+from itof.arrays import A, Array, PhasorsOf, PixelsOf
 from itof.sensor.demodulation import (
+    Harmonics,
     first_harmonic,
     folded,
     harmonics,
@@ -57,7 +59,7 @@ class BinnedCamera:
     def __post_init__(self) -> None:
         self.settings.binning(self.width, self.height)
 
-    def mean(self, phasor: Any, cameras: Sequence[SensorSettings] | None = None) -> Any:
+    def mean(self, phasor: PhasorsOf[A], cameras: Sequence[SensorSettings] | None = None) -> PhasorsOf[A]:
         """(..., H, W, F) complex mean of the phasors that the camera gives, without drift of its phases.
 
         Parameters
@@ -77,13 +79,13 @@ class BinnedCamera:
         seen = xp.asarray(self._averaged > 0, dtype=images[0].dtype, device=device(phasor))
         return xp.astype(xp.stack(images, axis=-1) * seen[..., None], phasor.dtype)
 
-    def passed(self, phasor: Any) -> Any:
+    def passed(self, phasor: PhasorsOf[A]) -> PhasorsOf[A]:
         """(..., H, W, F) what the lens lets through of phasors, with their phases."""
         still = replace(self.settings, emitter_offset_m=(0.0, 0.0, 0.0), motion_m_s=0.0)
         camera = replace(self, settings=still)
         return camera._behind_lens(array_namespace(phasor), phasor, None)
 
-    def spread(self, phasor: Any) -> Any:
+    def spread(self, phasor: PhasorsOf[Array]) -> Array:
         """(..., H, W, F) standard deviation of the noise of each component of `mean`.
 
         That of `itof.sensor.noise.phase_noise_rad` with the electrons of each pixel, over the square root of
@@ -113,7 +115,7 @@ class BinnedCamera:
         alive = alive_pixels(self.settings).reshape(self.height, binning, self.width, binning)
         return np.asarray(alive.sum(axis=(1, 3), dtype=np.float64) * self.settings.frames)
 
-    def _behind_lens(self, xp: Any, phasor: Any, scattering: Any) -> Any:
+    def _behind_lens(self, xp: ModuleType, phasor: PhasorsOf[A], scattering: Array | None) -> PhasorsOf[A]:
         """(..., H, W, F) phasors behind the lens."""
         lens = falloff(self.settings, self.width, self.height)
         there = geometry(self.settings, phasor, self.frequencies_hz)
@@ -121,15 +123,20 @@ class BinnedCamera:
         light = light * xp.asarray(lens, dtype=xp.real(phasor).dtype, device=device(phasor))[..., None]
         return leaked(self.settings, light)
 
-    def _other_e(self, xp: Any, like: Any) -> Any:
+    def _other_e(self, xp: ModuleType, like: A) -> PixelsOf[A]:
         """(H, W) electrons of ambient light in both taps of a raw frame."""
         lens = falloff(self.settings, self.width, self.height)
         other_e = ambient_rate_e_s(self.settings) * self.settings.integration_s * lens
         return xp.asarray(other_e, dtype=like.dtype, device=device(like))
 
     def _demodulated(
-        self, xp: Any, light: Any, place: int, frequency_hz: float, cameras: _Cameras | None
-    ) -> Any:
+        self,
+        xp: ModuleType,
+        light: PhasorsOf[Array],
+        place: int,
+        frequency_hz: float,
+        cameras: _Cameras | None,
+    ) -> PixelsOf[Array]:
         """(..., H, W) phasors of one frequency that the firmware makes of the mean charges."""
         settings, z = self.settings, light[..., place]
         parts = harmonics(settings, frequency_hz) if cameras is None else cameras.harmonics(frequency_hz)
@@ -149,7 +156,7 @@ class BinnedCamera:
         size = xp.exp(xp.real(factor))
         return seen * size * (xp.cos(xp.imag(factor)) + 1j * xp.sin(xp.imag(factor)))
 
-    def _fills(self, xp: Any, light: Any) -> bool:
+    def _fills(self, xp: ModuleType, light: PhasorsOf[Array]) -> bool:
         """Whether a tap may get more electrons than it can be read with."""
         dark_e = self.settings.dark_current_e_s * self.settings.integration_s
         other_e = ambient_rate_e_s(self.settings) * self.settings.integration_s
@@ -167,7 +174,7 @@ class BinnedCamera:
             most = min(most, steps * settings.adc_e_per_dn)
         return most
 
-    def _clipped(self, xp: Any, difference: Any, brightness: Any) -> Any:
+    def _clipped(self, xp: ModuleType, difference: A, brightness: PixelsOf[Array]) -> A:
         """(..., H, W, N) differences of taps that hold no more than they can."""
         dark_e = self.settings.dark_current_e_s * self.settings.integration_s
         other_e = self._other_e(xp, brightness)[..., None]
@@ -182,7 +189,11 @@ class _Cameras:
     """What differs between the cameras of N images, as arrays (N, 1, 1) or (N, 1, 1, 1)."""
 
     def __init__(
-        self, xp: Any, phasor: Any, settings: SensorSettings, cameras: Sequence[SensorSettings]
+        self,
+        xp: ModuleType,
+        phasor: PhasorsOf[Array],
+        settings: SensorSettings,
+        cameras: Sequence[SensorSettings],
     ) -> None:
         if phasor.ndim != 4 or len(cameras) != phasor.shape[0]:
             raise ValueError(f"{len(cameras)} cameras for phasors of the shape {tuple(phasor.shape)}")
@@ -191,22 +202,22 @@ class _Cameras:
         self.wiggling_left = self._array([each.wiggling_left for each in cameras])
         self.scattering = self._array([each.scattering for each in cameras])[..., None]
 
-    def gain(self, frequency_hz: float) -> Any:
+    def gain(self, frequency_hz: float) -> Array:
         """Contrast over the one that the firmware knows."""
         known = first_harmonic(self._settings, frequency_hz)
         return self._array([first_harmonic(each, frequency_hz) / known for each in self._cameras])
 
-    def harmonics(self, frequency_hz: float) -> dict[int, Any]:
+    def harmonics(self, frequency_hz: float) -> Harmonics:
         """`itof.sensor.demodulation.harmonics` of all images."""
         each = [harmonics(camera, frequency_hz) for camera in self._cameras]
         return {h: self._array([found.get(h, 0.0) for found in each]) for h in sorted(set().union(*each))}
 
-    def _array(self, values: list[float]) -> Any:
+    def _array(self, values: list[float]) -> Array:
         found = np.asarray(values, dtype=np.float64).reshape(-1, 1, 1)
         return self._xp.asarray(found, dtype=self._kind, device=self._device)
 
 
-def _log_ratio(xp: Any, seen: Any, true: Any) -> Any:
+def _log_ratio(xp: ModuleType, seen: A, true: A) -> A:
     """log(seen / true), 0 where there is no light."""
     lit = true != 0
     ratio = xp.where(lit, seen, xp.ones_like(seen)) / xp.where(lit, true, xp.ones_like(true))

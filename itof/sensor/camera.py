@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace, device
+from array_api_compat import array_namespace, device, to_device
 from numpy.typing import NDArray
 
+from itof.arrays import Array, Phasors, PhasorsOf, PixelsOf, S
 from itof.sensor.demodulation import calibrated, phasor_of_differences, tap_differences
 from itof.sensor.fixed_pattern import alive_pixels, tap_patterns
 from itof.sensor.geometry import geometry
@@ -32,9 +32,9 @@ class Captured:
         frame, without saturation.
     """
 
-    phasor: Any
-    saturated: Any
-    signal_e: Any
+    phasor: PhasorsOf[Array]
+    saturated: PixelsOf[Array]
+    signal_e: PixelsOf[Array]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Camera:
     settings: SensorSettings
     frequencies_hz: Sequence[float]
 
-    def capture(self, phasor: Any, rng: np.random.Generator) -> Captured:
+    def capture(self, phasor: PhasorsOf[Array], rng: np.random.Generator) -> Captured:
         """Measure images.
 
         The amplitude at the lowest frequency stands for the brightness: light of one path has the same
@@ -58,7 +58,7 @@ class Camera:
 
         Parameters
         ----------
-        phasor : (..., H, W, F) complex phasors of scenes (docs/files.md has their unit), of numpy or another
+        phasor : (..., H, W, F) complex phasors of scenes (unit: docs/reference/files.md), of numpy or another
             library of the array API. H and W divide the sensor's height and width by the same whole number;
             the sensor pixels of a pixel see the same light, and their phasors are averaged.
         rng : for noise and drift; the fixed pattern has its own seed.
@@ -68,7 +68,7 @@ class Camera:
         ValueError : the number of frequencies differs, or H and W do not fit the sensor.
         """
         xp = array_namespace(phasor)
-        seen = np.asarray(phasor if xp.__name__.endswith("numpy") else phasor.cpu(), dtype=np.complex128)
+        seen = np.asarray(to_device(phasor, "cpu"), dtype=np.complex128)
         self._refuse_other_frequencies(seen)
         height, width = seen.shape[-3:-1]
         images = seen.reshape(-1, *seen.shape[-3:])
@@ -80,7 +80,7 @@ class Camera:
         ]
         return Captured(*(xp.asarray(each, device=device(phasor)) for each in found))
 
-    def raw_frames(self, phasor: NDArray[Any], rng: np.random.Generator) -> NDArray[np.float64]:
+    def raw_frames(self, phasor: Phasors, rng: np.random.Generator) -> NDArray[np.float64]:
         """Numbers that the sensor is read with, before any firmware.
 
         Parameters
@@ -126,7 +126,7 @@ class Camera:
             for _ in range(settings.frames):
                 taps, full = self._tap_images(light, place, frequency_hz, binning, rng)
                 saturated += _binned(full * alive, binning) / readings
-                z = phasor_of_differences(settings, taps[..., 0] - taps[..., 1], frequency_hz)
+                z = np.asarray(phasor_of_differences(settings, taps[..., 0] - taps[..., 1], frequency_hz))
                 total[..., place] += _binned(calibrated(settings, z, frequency_hz) * alive, binning)
         lit = _binned(alive.astype(np.float64), binning)
         share = np.divide(1.0, lit, out=np.zeros_like(lit), where=lit > 0)
@@ -142,7 +142,7 @@ class Camera:
         """Electrons of a raw frame in both taps, per radiance."""
         return signal_rate_e_s(self.settings) * self.settings.integration_s
 
-    def _refuse_other_frequencies(self, phasor: Any) -> None:
+    def _refuse_other_frequencies(self, phasor: PhasorsOf[Array]) -> None:
         if phasor.shape[-1] != len(self.frequencies_hz):
             raise ValueError(
                 f"expected phasors at {len(self.frequencies_hz)} frequencies, got {phasor.shape[-1]}"
@@ -226,7 +226,7 @@ def _repeated(image: NDArray[np.float64], binning: int) -> NDArray[np.float64]:
     return image.repeat(binning, axis=0).repeat(binning, axis=1)
 
 
-def _binned(image: NDArray[Any], binning: int) -> NDArray[Any]:
+def _binned(image: NDArray[S], binning: int) -> NDArray[S]:
     """(H, W) sums over the b x b pixels of an image (H b, W b)."""
     height, width = image.shape[0] // binning, image.shape[1] // binning
     return np.asarray(image.reshape(height, binning, width, binning).sum(axis=(1, 3)))

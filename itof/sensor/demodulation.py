@@ -17,15 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 
+from itof.arrays import A, Array
 from itof.light import megahertz
 from itof.sensor.settings import SensorSettings
 
+Harmonics: TypeAlias = Mapping[int, float] | Mapping[int, Array]  # C_h / C_1 by h
 _TABLE = 2**14  # steps of a period; linear interpolation errs by less than 1e-7
 
 
@@ -61,8 +63,8 @@ def _cosines(cycles: tuple[int, ...]) -> NDArray[np.float64]:
 
 
 def tap_differences(
-    settings: SensorSettings, phasor: Any, frequency_hz: float, parts: Mapping[int, Any] | None = None
-) -> Any:
+    settings: SensorSettings, phasor: Array, frequency_hz: float, parts: Harmonics | None = None
+) -> Array:
     """(..., N) expected differences of the taps for phasors (...) of one frequency, in their unit.
 
     `parts` replaces `harmonics`: numbers, or arrays (N, 1, 1) for N images (N, H, W) with waves of their own.
@@ -77,7 +79,7 @@ def tap_differences(
     return first_harmonic(settings, frequency_hz) * size * total
 
 
-def phasor_of_differences(settings: SensorSettings, differences: Any, frequency_hz: float) -> Any:
+def phasor_of_differences(settings: SensorSettings, differences: Array, frequency_hz: float) -> Array:
     """(...) phasors that the firmware makes of differences of the taps (..., N)."""
     xp = array_namespace(differences)
     steps = xp.asarray(_steps(settings), dtype=differences.dtype, device=device(differences))
@@ -86,9 +88,7 @@ def phasor_of_differences(settings: SensorSettings, differences: Any, frequency_
     return gain * (re + 1j * im)
 
 
-def folded(
-    settings: SensorSettings, phasor: Any, frequency_hz: float, parts: Mapping[int, Any] | None = None
-) -> Any:
+def folded(settings: SensorSettings, phasor: A, frequency_hz: float, parts: Harmonics | None = None) -> A:
     """`phasor_of_differences` of `tap_differences`, from the harmonics that fold into the result.
 
     N steps see exp(j φ) where a harmonic h has exp(j h φ) and h - 1 is a multiple of N, and exp(-j h φ) where
@@ -146,5 +146,5 @@ def wiggling(
     return seen, error
 
 
-def _steps(settings: SensorSettings) -> Any:
+def _steps(settings: SensorSettings) -> NDArray[np.float64]:
     return 2 * np.pi * np.arange(settings.phase_steps) / settings.phase_steps

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace, device
+from array_api_compat import array_namespace, device, to_device
 from numpy.typing import NDArray
 
+from itof.arrays import A, PhasorsOf
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 from itof.radial_distortion import undistorted_radius
@@ -21,12 +21,12 @@ from itof.sensor.settings import SensorSettings
 from itof.unwrapping import unwrap_depth
 
 
-def geometry(settings: SensorSettings, image: Any, frequencies_hz: Sequence[float]) -> Any:
+def geometry(settings: SensorSettings, image: PhasorsOf[A], frequencies_hz: Sequence[float]) -> PhasorsOf[A]:
     """Phasors (..., H, W, F) with lamp, motion and lens as the settings have them."""
     return distorted(settings, moved(settings, with_lamp(settings, image, frequencies_hz), frequencies_hz))
 
 
-def with_lamp(settings: SensorSettings, image: Any, frequencies_hz: Sequence[float]) -> Any:
+def with_lamp(settings: SensorSettings, image: PhasorsOf[A], frequencies_hz: Sequence[float]) -> PhasorsOf[A]:
     """Phasors (..., H, W, F) with the lamp at `emitter_offset_m`.
 
     A point at the distance d along the ray r is |d r - e| from the lamp at e, instead of d. The distance is
@@ -34,8 +34,7 @@ def with_lamp(settings: SensorSettings, image: Any, frequencies_hz: Sequence[flo
     """
     if not any(settings.emitter_offset_m):
         return image
-    xp = array_namespace(image)
-    seen = np.asarray(image if xp.__name__.endswith("numpy") else image.cpu(), dtype=np.complex128)
+    seen = np.asarray(to_device(image, "cpu"), dtype=np.complex128)
     depth_m = unwrap_depth(np.angle(seen), frequencies_hz)[..., None]  # (..., H, W, 1)
     height, width = seen.shape[-3:-1]
     points_m = depth_m * pixel_rays(width, height, settings.horizontal_fov_deg)
@@ -43,7 +42,7 @@ def with_lamp(settings: SensorSettings, image: Any, frequencies_hz: Sequence[flo
     return _turned(image, way_m * phase_per_metre(frequencies_hz))
 
 
-def moved(settings: SensorSettings, image: Any, frequencies_hz: Sequence[float]) -> Any:
+def moved(settings: SensorSettings, image: PhasorsOf[A], frequencies_hz: Sequence[float]) -> PhasorsOf[A]:
     """Phasors (..., H, W, F) of a camera that moves along its axis while it measures.
 
     The frequencies are measured one after the other, so the wall is at another distance in each. The way
@@ -60,7 +59,7 @@ def moved(settings: SensorSettings, image: Any, frequencies_hz: Sequence[float])
     return _turned(image, -2 * nearer_m * phase_per_metre(frequencies_hz))
 
 
-def distorted(settings: SensorSettings, image: Any) -> Any:
+def distorted(settings: SensorSettings, image: PhasorsOf[A]) -> PhasorsOf[A]:
     """Phasors (..., H, W, F) as a lens with the radial distortion k1, k2 shows them.
 
     What a pinhole shows at the radius r of the image plane at the distance 1 is at r (1 + k1 r² + k2 r⁴).
@@ -72,7 +71,7 @@ def distorted(settings: SensorSettings, image: Any) -> Any:
     height, width = image.shape[-3:-1]
     weights = _resampling(width, height, settings.horizontal_fov_deg, settings.distortion)
     rows, columns, row_weights, column_weights = weights
-    total = 0
+    total = xp.zeros_like(image)
     for row, row_weight in zip(rows, row_weights, strict=True):
         for column, column_weight in zip(columns, column_weights, strict=True):
             place = xp.asarray((row * width + column).ravel(), device=device(image))
@@ -83,7 +82,7 @@ def distorted(settings: SensorSettings, image: Any) -> Any:
     return total
 
 
-def _turned(image: Any, phase_rad: NDArray[np.float64]) -> Any:
+def _turned(image: PhasorsOf[A], phase_rad: NDArray[np.float64]) -> PhasorsOf[A]:
     xp = array_namespace(image)
     turn = np.exp(1j * phase_rad)
     return image * xp.asarray(turn, dtype=image.dtype, device=device(image))
@@ -92,7 +91,7 @@ def _turned(image: Any, phase_rad: NDArray[np.float64]) -> Any:
 @cache
 def _resampling(
     width: int, height: int, horizontal_fov_deg: float, distortion: tuple[float, float]
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Rows and columns (4, H, W) of the pixels that a pixel is made of, and their weights."""
     focal = width / 2 / np.tan(np.radians(horizontal_fov_deg) / 2)
     y, x = np.mgrid[:height, :width] + 0.5

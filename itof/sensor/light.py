@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace, device
@@ -13,6 +12,7 @@ from scipy.constants import c as light_speed_m_s
 from scipy.constants import h as planck_j_s
 from scipy.ndimage import gaussian_filter1d
 
+from itof.arrays import A, Array, PhasorsOf
 from itof.pinhole import pixel_rays
 from itof.sensor.settings import SensorSettings
 
@@ -59,7 +59,9 @@ def falloff(settings: SensorSettings, width: int, height: int) -> NDArray[np.flo
     return np.asarray(cosine**settings.vignetting, dtype=np.float64)
 
 
-def scattered(settings: SensorSettings, image: Any, part: Any = None) -> Any:
+def scattered(
+    settings: SensorSettings, image: PhasorsOf[A], part: Array | float | None = None
+) -> PhasorsOf[A]:
     """Phasors (..., H, W, F) after the lens has spread a part of their light over the image.
 
     The spread is a Gaussian; what leaves the image comes back mirrored at its border.
@@ -82,7 +84,7 @@ def scattered(settings: SensorSettings, image: Any, part: Any = None) -> Any:
     return (1 - part) * image + part * spread
 
 
-def leaked(settings: SensorSettings, image: Any) -> Any:
+def leaked(settings: SensorSettings, image: PhasorsOf[A]) -> PhasorsOf[A]:
     """Phasors (..., H, W, F) after every sensor pixel has lost electrons to its four neighbours.
 
     Within a bin of b x b sensor pixels this changes nothing on average; over each of its sides, 1 / b of the

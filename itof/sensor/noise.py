@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from itof.arrays import N
 from itof.sensor.demodulation import first_harmonic
 from itof.sensor.light import ambient_rate_e_s
 from itof.sensor.settings import SensorSettings
 
 
-def difference_variance_e2(settings: SensorSettings, signal_e: Any, ambient_e: Any) -> Any:
+def difference_variance_e2(settings: SensorSettings, signal_e: N, ambient_e: N) -> N | float:
     """Variance of the difference of the taps of a sensor pixel in a raw frame, electrons squared.
 
     The electrons of signal, ambient light and dark current of both taps (Poisson), their read noise, and

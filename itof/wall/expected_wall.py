@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Generic
 
 import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import ArrayLike
 
-from itof.arrays import Array, Floats, Phasors
+from itof.arrays import A, B, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.direct import direct_phasors
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
@@ -20,7 +21,7 @@ _NEAREST = 2.0  # of the expected distance over the distance
 
 
 @dataclass(frozen=True)
-class ExpectedWall:
+class ExpectedWall(Generic[A]):
     """Relay wall and camera as they should be, in camera axes (x right, y down, z forward).
 
     Its arrays are of numpy; `converted` makes them those of another library. For N cameras that differ in
@@ -37,10 +38,10 @@ class ExpectedWall:
     """
 
     frequencies_hz: tuple[float, ...]
-    direct: Array
-    rays: Array
-    plane_per_m: Array
-    strength: Array | None = None
+    direct: PhasorsOf[A]
+    rays: A
+    plane_per_m: A
+    strength: PixelsOf[A] | None = None
 
     @classmethod
     def of_camera(
@@ -66,7 +67,7 @@ class ExpectedWall:
         plane_per_m = np.asarray(camera_axes, dtype=np.float64) @ normal / gap  # m · r = 1 / L
         height, width = direct.shape[:2]
         rays = pixel_rays(width, height, horizontal_fov_deg)
-        return cls(tuple(frequencies_hz), direct, rays, plane_per_m)
+        return ExpectedWall(tuple(frequencies_hz), direct, rays, plane_per_m)
 
     @classmethod
     def of_plane(
@@ -92,7 +93,7 @@ class ExpectedWall:
         camera = (np.eye(3), np.zeros(3))
         size = (width, height, horizontal_fov_deg)
         direct = direct_phasors(*size, frequencies_hz, *camera, plane / square, plane)
-        return cls(tuple(frequencies_hz), direct, pixel_rays(*size), plane)
+        return ExpectedWall(tuple(frequencies_hz), direct, pixel_rays(*size), plane)
 
     @classmethod
     def stacked(cls, walls: Sequence[ExpectedWall]) -> ExpectedWall:
@@ -113,22 +114,22 @@ class ExpectedWall:
         direct, rays, strength = (
             np.stack([getattr(each, name) for each in walls]) for name in ("direct", "rays", "fit_strength")
         )
-        return cls(first.frequencies_hz, direct, rays, first.plane_per_m, strength)
+        return ExpectedWall(first.frequencies_hz, direct, rays, first.plane_per_m, strength)
 
-    def converted(self, convert: Callable[[Array], Array]) -> ExpectedWall:
+    def converted(self, convert: Callable[[A], B]) -> ExpectedWall[B]:
         """The same with the arrays that `convert` makes of its arrays, for another library or device."""
-        arrays = {name: convert(getattr(self, name)) for name in ("direct", "rays", "plane_per_m")}
         strength = None if self.strength is None else convert(self.strength)
-        return replace(self, **arrays, strength=strength)
+        arrays = (convert(self.direct), convert(self.rays), convert(self.plane_per_m))
+        return ExpectedWall(self.frequencies_hz, *arrays, strength)
 
-    def of_images(self, some: slice) -> ExpectedWall:
+    def of_images(self, some: slice) -> ExpectedWall[A]:
         """The walls of some images, if each has its own; else this wall."""
         if self.direct.ndim == 3:
             return self
         strength = None if self.strength is None else self.strength[some]
         return replace(self, direct=self.direct[some], rays=self.rays[some], strength=strength)
 
-    def captured(self, direct: Array) -> ExpectedWall:
+    def captured(self, direct: PhasorsOf[A]) -> ExpectedWall[A]:
         """The wall with the return of a capture of the empty corner (H, W, F), in the same place.
 
         Its pixels keep their weights, which do not depend on the brightness of the capture.
@@ -137,18 +138,18 @@ class ExpectedWall:
         return replace(self, direct=direct, strength=self.fit_strength)
 
     @property
-    def fit_strength(self) -> Array:
+    def fit_strength(self) -> PixelsOf[A]:
         """(H, W) square root of the weight of a pixel in fits of a wall in this plane."""
         xp = array_namespace(self.direct)
         return xp.abs(self.direct[..., 0]) if self.strength is None else self.strength
 
-    def at(self, places: Sequence[int]) -> ExpectedWall:
+    def at(self, places: Sequence[int]) -> ExpectedWall[A]:
         """The wall at some of the frequencies, given by their indices."""
         frequencies_hz = tuple(self.frequencies_hz[place] for place in places)
         return replace(self, frequencies_hz=frequencies_hz, direct=self.direct[..., list(places)])
 
     @cached_property
-    def radial_depth_m(self) -> Array:
+    def radial_depth_m(self) -> PixelsOf[A]:
         """(H, W) L_0, metres along the ray; infinite where a ray misses the wall."""
         return radial_depth_of_plane(self.rays, self.plane_per_m)
 
@@ -158,7 +159,7 @@ class ExpectedWall:
         return 2 * phase_per_metre(self.frequencies_hz)  # out and back
 
 
-def strength_elsewhere(expected_depth_m: Array, depth_m: Array) -> Array:
+def strength_elsewhere(expected_depth_m: A, depth_m: A) -> A:
     """Brightness of a diffuse wall along a ray over that of the expected wall: (L_0 / L)³, as cos / L² goes.
 
     Arrays of numpy or of another library of the array API, metres, which broadcast; 0 or infinite where a ray
@@ -171,7 +172,7 @@ def strength_elsewhere(expected_depth_m: Array, depth_m: Array) -> Array:
     return xp.clip(share, min=0.0, max=_NEAREST) ** 3
 
 
-def radial_depth_of_plane(rays: Array, plane_per_m: Array) -> Array:
+def radial_depth_of_plane(rays: A, plane_per_m: A) -> A:
     """Distance of planes (..., 3) along rays (n, 3) or (H, W, 3), metres; infinite where a ray misses one.
 
     Arrays of numpy or of another library of the array API. For several planes the result is (..., n), and the

@@ -4,7 +4,7 @@ A network answers any input. Almost all light of a measurement comes straight fr
 wrong with a measurement shows in how it differs from the wall's expected return: the amplitudes
 (`itof.wall.brightness`), the conventions of the file (`itof.wall.phase_defects`), the pose of camera and wall
 and the calibration of the camera (`itof.wall.wall_search`). The limits rest on the distributions in
-docs/design.md (Wall found in the measurement).
+docs/science/design.md (Wall found in the measurement).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import found, locate_wall
 
 MISFIT_NOTED_RAD: Final = 4e-3  # 1.6 mm of wall at 60 MHz; bright hidden light looks like 2.7 mrad
-MISFIT_REFUSED_RAD: Final = 12.5e-3  # 5 mm at 60 MHz: predictions are then worse than none (docs/training.md)
+MISFIT_REFUSED_RAD: Final = 12.5e-3  # 5 mm at 60 MHz: predictions are worse than none (notebook/training.md)
 # For a self-calibrated run. Its channels do not depend on the wall's place, but hidden light falls elsewhere.
 # Chosen by the size of the object, not measured.
 CALIBRATED_NOTED_M: Final = 0.02

@@ -17,7 +17,7 @@ from typing import Final
 
 from array_api_compat import array_namespace, device
 
-from itof.arrays import Array
+from itof.arrays import A, Array, PhasorsOf
 from itof.other_surfaces import ELSEWHERE_RAD
 from itof.wall.expected_wall import ExpectedWall, strength_elsewhere
 from itof.wall.wall_fit import WallFit
@@ -32,8 +32,8 @@ _DARKEST: Final = 1e-300  # of a wall without any return, which then has no weig
 
 
 def calibrate(
-    phasor: Array, wall: ExpectedWall, *, wiggling: bool = False, start_per_m: Array | None = None
-) -> WallFit:
+    phasor: PhasorsOf[A], wall: ExpectedWall[A], *, wiggling: bool = False, start_per_m: Array | None = None
+) -> WallFit[A]:
     """Fit plane, phase offsets and, with `wiggling`, the four-cycle error to each image.
 
     Parameters
@@ -61,7 +61,7 @@ def calibrate(
     return WallFit(plane, local[..., 0], local[..., 1:] if wiggling else None)
 
 
-def phases_over(phasor: Array, wall: ExpectedWall, *, wiggling: bool) -> WallPhases:
+def phases_over(phasor: PhasorsOf[A], wall: ExpectedWall[A], *, wiggling: bool) -> WallPhases[A]:
     """The phases of images (..., H, W, F) over those of the expected wall, with a diffuse wall's weights."""
     xp = array_namespace(phasor)
     known = weighted_reference(wall.direct, xp.abs(phasor[..., 0]))
@@ -81,7 +81,7 @@ def phases_over(phasor: Array, wall: ExpectedWall, *, wiggling: bool) -> WallPha
     )
 
 
-def _weight(problem: WallPhases, residual: Residual, width_rad: float) -> Array:
+def _weight(problem: WallPhases[A], residual: Residual[A], width_rad: float) -> A:
     """(..., F, n) weights of a diffuse wall in the fitted plane, less where a pixel does not see it."""
     xp = problem.xp
     farthest = xp.max(xp.abs(residual.left), axis=-2, keepdims=True)  # (..., 1, n)
@@ -91,7 +91,7 @@ def _weight(problem: WallPhases, residual: Residual, width_rad: float) -> Array:
     return xp.broadcast_to(weight, residual.left.shape)
 
 
-def _solved(xp: ModuleType, normal: Array, right: Array) -> Array:
+def _solved(xp: ModuleType, normal: A, right: A) -> A:
     """Solutions (..., P) of normal equations (..., P, P), scaled to a unit diagonal."""
     diagonal = xp.linalg.diagonal(normal)
     size = xp.where(diagonal > 0, xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 1.0)

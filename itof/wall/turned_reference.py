@@ -7,13 +7,13 @@ from typing import Final
 
 from array_api_compat import array_namespace
 
-from itof.arrays import Array
+from itof.arrays import A, Array, PhasorsOf
 from itof.weighted_reference import log_slope
 
 _STEEPEST: Final = 0.5  # radians per pixel; a larger step of the phase is the edge of the wall
 
 
-def turned_reference(reference: Array, turn_rad: Array) -> Array:
+def turned_reference(reference: PhasorsOf[A], turn_rad: PhasorsOf[Array]) -> PhasorsOf[A]:
     """The direct return `reference` ([N,] H, W, F), with phases that grow by `turn_rad` (..., H, W, F).
 
     The light of a pixel comes over different paths, which cancel in part. With the gradient g of log
@@ -33,7 +33,7 @@ def turned_reference(reference: Array, turn_rad: Array) -> Array:
     return xp.astype(turned, reference.dtype)
 
 
-def _derivatives(xp: ModuleType, values: Array, axis: int) -> tuple[Array, Array]:
+def _derivatives(xp: ModuleType, values: A, axis: int) -> tuple[A, A]:
     """First and second derivative per pixel along an axis; 0 in images too small for them, and at edges."""
     v = xp.moveaxis(values, axis, -1)
     if v.shape[-1] < 3:

@@ -5,19 +5,19 @@
 *Weights of the robust fit.* A pixel has the weight |z|², the inverse of its phase variance under noise of
 equal strength in all pixels, but at most |d|² in the same unit, so that a single bright pixel has no power.
 Tukey's biweight then reduces what does not fit the wall: pixels with much hidden light, edges of the wall,
-damaged pixels. docs/design.md (Wall found in the measurement) has the measured accuracy.
+damaged pixels. docs/science/design.md (Wall found in the measurement) has the measured accuracy.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Generic
 
 import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import ArrayLike, NDArray
 
-from itof.arrays import Array, Bools, Floats, Phasors
+from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf
 from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m
 from itof.wall.robust_solution import robust_solution
 from itof.wall.turned_reference import turned_reference
@@ -29,7 +29,7 @@ _DARK = 1e-12  # amplitude over the largest one of the image
 
 
 @dataclass(frozen=True)
-class WallFit:
+class WallFit(Generic[A]):
     """Wall and phases that images show; arrays of the library of the measurement.
 
     Attributes
@@ -39,11 +39,11 @@ class WallFit:
     wiggling_rad : (..., F, 2) fitted a_f and b_f of the four-cycle error; None if they were not fitted.
     """
 
-    plane_per_m: Array
-    offsets_rad: Array
-    wiggling_rad: Array | None
+    plane_per_m: A
+    offsets_rad: A
+    wiggling_rad: A | None
 
-    def moved(self, phasor: Array, wall: ExpectedWall) -> Array:
+    def moved(self, phasor: PhasorsOf[A], wall: ExpectedWall[A]) -> PhasorsOf[A]:
         """(..., H, W, F) complex, the direct return of the expected `wall`, moved to this wall and phases.
 
         It has the brightness of the expected wall. `phasor` (..., H, W, F) are the images that were fitted.

@@ -22,15 +22,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from types import ModuleType
+from typing import Generic
 
 from array_api_compat import device
 
-from itof.arrays import Array
+from itof.arrays import A
 from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane
 
 
 @dataclass(frozen=True)
-class WallRays:
+class WallRays(Generic[A]):
     """The n pixels' rays to the expected wall, float64.
 
     Attributes
@@ -42,13 +43,13 @@ class WallRays:
     """
 
     xp: ModuleType
-    rays: Array
-    meets: Array
-    expected_depth_m: Array
-    slope: Array
+    rays: A
+    meets: A
+    expected_depth_m: A
+    slope: A
 
     @classmethod
-    def of(cls, xp: ModuleType, wall: ExpectedWall) -> WallRays:
+    def of(cls, xp: ModuleType, wall: ExpectedWall[A]) -> WallRays[A]:
         """Rays of all pixels of images."""
         pixels = (*wall.rays.shape[:-3], -1)  # ([N,] n)
         meets = xp.reshape(xp.isfinite(wall.radial_depth_m), pixels)
@@ -61,7 +62,7 @@ class WallRays:
             xp.asarray(wall.slope, dtype=xp.float64, device=device(wall.rays))[:, None],
         )
 
-    def turn(self, plane: Array, offset: Array) -> tuple[Array, Array, Array]:
+    def turn(self, plane: A, offset: A) -> tuple[A, A, A]:
         """Phases (..., F, n) that a plane (..., 3) and offsets (..., F) give, and the plane's depth (..., n).
 
         Third, whether each ray meets the plane (..., n); where it does not, the depth is the expected one.
@@ -73,13 +74,13 @@ class WallRays:
         turn = (depth_m - self.expected_depth_m)[..., None, :] * self.slope + offset[..., None]
         return turn, depth_m, meets
 
-    def tangent(self, depth_m: Array) -> Array:
+    def tangent(self, depth_m: A) -> A:
         """(..., 3, n) derivative dL / dm of the depth by the plane."""
         return -(depth_m**2)[..., None, :] * self.xp.matrix_transpose(self.rays)
 
 
 @dataclass(frozen=True)
-class Residual:
+class Residual(Generic[A]):
     """What a plane and the unknowns of the frequencies leave of the phases.
 
     Attributes
@@ -89,13 +90,13 @@ class Residual:
     meets : (..., n) whether the ray meets the plane.
     """
 
-    left: Array
-    depth_m: Array
-    meets: Array
+    left: A
+    depth_m: A
+    meets: A
 
 
 @dataclass(frozen=True)
-class WallPhases:
+class WallPhases(Generic[A]):
     """Phases of n pixels over those of the expected wall, float64; leading axes are those of the images.
 
     The unknowns are a plane (..., 3), and Q of each frequency, `local` (..., F, Q).
@@ -109,12 +110,12 @@ class WallPhases:
     """
 
     xp: ModuleType
-    pixels: WallRays
-    phases: Array
-    basis: Array
-    weight: Array
+    pixels: WallRays[A]
+    phases: A
+    basis: A
+    weight: A
 
-    def thinned(self, every: int) -> WallPhases:
+    def thinned(self, every: int) -> WallPhases[A]:
         """The same with one of `every` pixels."""
         pixels, some = self.pixels, (..., slice(None, None, every))
         rays = pixels.rays[..., ::every, :]
@@ -124,7 +125,7 @@ class WallPhases:
         arrays = {name: getattr(self, name)[some] for name in ("phases", "basis", "weight")}
         return replace(self, pixels=pixels, **arrays)
 
-    def first_guess(self, plane: Array) -> Array:
+    def first_guess(self, plane: A) -> A:
         """(..., F, Q) offsets that turn the mean phasor to 0; the other unknowns are 0."""
         xp = self.xp
         none = xp.zeros_like(self.basis[..., 0])  # (..., F, Q)
@@ -134,7 +135,7 @@ class WallPhases:
         along, across = (xp.sum(self.weight * part(left), axis=-1) for part in (xp.cos, xp.sin))
         return xp.concat([xp.atan2(across, along)[..., None], none[..., 1:]], axis=-1)
 
-    def residual(self, plane: Array, local: Array) -> Residual:
+    def residual(self, plane: A, local: A) -> Residual[A]:
         """Phases that the unknowns leave."""
         xp = self.xp
         offset = xp.sum(local[..., :1], axis=-1)  # 0 if there is none
@@ -142,7 +143,7 @@ class WallPhases:
         left = self.phases - turn - xp.sum(self.basis[..., 1:, :] * local[..., 1:, None], axis=-2)
         return Residual(left - 2 * math.pi * xp.round(left / (2 * math.pi)), depth_m, meets)
 
-    def normal_equations(self, residual: Residual, weight: Array) -> tuple[Array, Array]:
+    def normal_equations(self, residual: Residual[A], weight: A) -> tuple[A, A]:
         """Matrix (..., P, P) and right side (..., P) for a step of the P = 3 + F Q unknowns.
 
         `weight` (..., F, n) is that of each phase.
@@ -162,24 +163,24 @@ class WallPhases:
         each = xp.reshape(xp.sum(seen * left[..., None, :], axis=-1), rows[:-1])  # (..., F Q)
         return xp.concat([upper, lower], axis=-2), xp.concat([along, each], axis=-1)
 
-    def _blocks(self, frequencies: int, count: int) -> Array:
+    def _blocks(self, frequencies: int, count: int) -> A:
         """(F Q, F Q): 1 where both unknowns are of the same frequency."""
         xp = self.xp
         place = xp.arange(frequencies * count, device=device(self.phases)) // max(count, 1)
         return xp.astype(place[:, None] == place, xp.float64)
 
 
-def phases_of(xp: ModuleType, z: Array) -> Array:
+def phases_of(xp: ModuleType, z: A) -> A:
     """Phases of complex numbers, radians, float64."""
     return xp.astype(xp.atan2(xp.imag(z), xp.real(z)), xp.float64)
 
 
-def four_cycles(xp: ModuleType, measured: Array) -> list[Array]:
+def four_cycles(xp: ModuleType, measured: A) -> list[A]:
     """Cosine and sine of four times the phases of measured phasors (..., F, n)."""
     cycles = phases_of(xp, measured)
     return [xp.cos(4 * cycles), xp.sin(4 * cycles)]
 
 
-def by_frequency(xp: ModuleType, values: Array) -> Array:
+def by_frequency(xp: ModuleType, values: A) -> A:
     """(..., F, n) of (..., H, W, F)."""
     return xp.moveaxis(xp.reshape(values, (*values.shape[:-3], -1, values.shape[-1])), -1, -2)

@@ -57,7 +57,7 @@ class ArrayFile:
         self._write(header_of(dtype, shape))
 
     def append(self, row: NDArray[np.generic]) -> None:
-        """Write one row."""
+        """Write one row or more."""
         self._write(np.ascontiguousarray(row, self._dtype).tobytes())
 
     def sha256(self) -> str:

@@ -12,9 +12,8 @@ from torch import Tensor
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
-from model.data.fit_cache import FitCache
 from model.data.rows import ARRAYS, RowBlock
-from model.data.scene_walls import SceneWalls
+from model.data.scene_walls import FitCache, SceneWalls
 from model.data.sensor_draws import SensorDraws
 from model.network.channels import IMAGES_AT_ONCE, InputSpec
 
@@ -98,7 +97,7 @@ class BatchMaker:
         """
         rows = self._on_device(block)
         if self.camera is not None:
-            parts = [self._measured_by(self.camera, rows, start) for start in _starts(rows)]
+            parts = [self.camera(rows.phasors[some], rows.rows[some]) for some in _parts(rows)]
             rows = replace(rows, phasors=torch.cat(parts))
         return replace(rows, reference=self._references(rows, fits)) if self.inputs.uses_residual else rows
 
@@ -112,17 +111,10 @@ class BatchMaker:
         return self.upload(block, fits) if self.camera is None else self._on_device(block)
 
     def _on_device(self, block: RowBlock) -> RowBlock:
-        count = block.phasors.shape[1] // 2
-        chosen = [first + place for first in (0, count) for place in self.places]
-        arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": block.phasors[:, chosen]}
+        phasors = np.take(block.phasors, self.places, axis=-1)  # contiguous, which indexing is not
+        arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": phasors}
         device = self.wall.rays.device
         return RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
-
-    def _measured_by(self, camera: SensorDraws, rows: RowBlock, start: int) -> Tensor:
-        """(n, 2F, H, W) phasors of some rows as the camera measures them."""
-        some = slice(start, start + IMAGES_AT_ONCE)
-        phasor = camera(self.measured(replace(rows, phasors=rows.phasors[some])), rows.rows[some])
-        return torch.cat([phasor.real, phasor.imag], dim=-1).movedim(-1, 1).contiguous()
 
     @property
     def reference_bytes(self) -> int:
@@ -134,9 +126,8 @@ class BatchMaker:
         """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
         shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
-        for start in _starts(rows):
-            some = slice(start, start + IMAGES_AT_ONCE)
-            measured = self.measured(replace(rows, phasors=rows.phasors[some]))
+        for some in _parts(rows):
+            measured = rows.phasors[some]
             wall = _on(found.device, self.walls.of(rows.rows[some])) if self.walls else self.wall
             fit = fits.of(rows.rows[some], measured, wall) if fits else None
             found[some] = self.inputs.reference_of_image(measured, wall, fit)
@@ -149,12 +140,6 @@ class BatchMaker:
         found: Tensor = self.inputs.reference_of_image(phasor, self.wall)
         return found
 
-    def measured(self, rows: RowBlock) -> Tensor:
-        """(N, H, W, F) complex64 phasors of uploaded rows."""
-        # PyTorch rounds the amplitudes of a strided tensor differently.
-        phasor: Tensor = rows.complex_phasors().contiguous()
-        return phasor
-
     def batch(self, rows: RowBlock, phasor: Tensor | None = None) -> Batch:
         """Input channels and ground truth of uploaded rows; rows without a reference get that of `phasor`.
 
@@ -162,19 +147,19 @@ class BatchMaker:
         ----------
         phasor : (N, H, W, F) complex; replaces the phasors of `rows` if it is given.
         """
-        measured = self.measured(rows) if phasor is None else phasor
+        measured = rows.phasors if phasor is None else phasor
         known = self.reference(measured) if rows.reference is None else rows.reference
         return Batch(
             channels=self.inputs.apply(measured, known, is_weighted=True),
-            target=rows.target,
+            target=torch.stack([rows.target.real, rows.target.imag], dim=1),
             radial_depth_m=rows.radial_depth_m,
             mask=rows.mask.float(),
         )
 
 
-def _starts(rows: RowBlock) -> range:
-    """Numbers of the first images of the parts that are computed at once."""
-    return range(0, len(rows), IMAGES_AT_ONCE)
+def _parts(rows: RowBlock) -> list[slice]:
+    """The images that are computed at once."""
+    return [slice(start, start + IMAGES_AT_ONCE) for start in range(0, len(rows), IMAGES_AT_ONCE)]
 
 
 def _on(device: torch.device, wall: ExpectedWall) -> ExpectedWall:

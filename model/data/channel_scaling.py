@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from itof import amplitude, residual_channels
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
-from model.data.order import rows_by_piece
+from model.data.feed import rows_by_piece
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.network.channels import IMAGES_AT_ONCE, ChannelError, InputSpec
-from model.settings import AmplitudeDivisor, Channels, Reference
+from model.settings.input import AmplitudeDivisor, Channels, Reference
 
 
 def fit_input_spec(
@@ -77,8 +77,9 @@ def fit_input_spec(
                 seen = phasors[..., places]
                 known = _reference(unscaled, seen, wall) if wall else direct
                 known, inverse = unscaled.parted(known)
-                residual = residual_channels(seen, known, wall_alone=unscaled.wall_alone)  # (n, 2F - 1, H, W)
-                residual = residual.astype(np.float64)
+                residual = np.asarray(  # (n, 2F - 1, H, W)
+                    residual_channels(seen, known, wall_alone=unscaled.wall_alone), np.float64
+                )
                 if wall and unscaled.shows_wall:
                     walls.extend(_wall_statistics(inverse[..., 0].real.astype(np.float64), wall))
                 means.extend(residual.mean(axis=(2, 3)))
@@ -153,10 +154,10 @@ def _wall_statistics(
         yield float(inverse.mean()), float((inverse**2).mean()), float(shift_m)
 
 
-def _images(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[list[int], NDArray[np.complex128]]]:
+def _images(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[list[int], NDArray[np.complex64]]]:
     """Some rows at a time, with the (n, H, W, F) phasors of their scenes."""
     for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
         block = shards.read(piece)
         for start in range(0, len(piece), IMAGES_AT_ONCE):
             some = piece[start : start + IMAGES_AT_ONCE]
-            yield some, block.take(some).complex_phasors()
+            yield some, block.take(some).phasors

@@ -1,4 +1,4 @@
-"""``manifest.json`` of the shards: their contents and the data from which they were made."""
+"""What the shards hold and what they were made from: ``manifest.json``, and ``piece.json`` of every piece."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import hashlib
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+from numpy.typing import DTypeLike
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from model.data.pieces import PieceRecord
 from model.data.rows import RowLayout
 from scenegen import SceneEntry
 from scenegen.preset import Preset
@@ -18,9 +18,54 @@ from storage.contract import STRICT
 from storage.plain_file import read_plain
 from storage.quantities import FieldOfView, WholeCount
 
-SHARD_SCHEMA: Final = 2
+SHARD_SCHEMA: Final = 3
 MANIFEST_FILE = "manifest.json"
+RECORD_FILE = "piece.json"
 _MOST_BYTES: Final = 2**30  # a million scenes take 300 MB
+_MOST_PIECE_BYTES: Final = 2**28
+
+
+@dataclass(frozen=True, config=STRICT)
+class PieceContents:
+    """Sources of a piece; they determine its arrays.
+
+    Attributes
+    ----------
+    scenes : n scene ids in the order of the rows; the first is the piece's name.
+    width, height : image size, pixels.
+    frequencies_hz : F modulation frequencies, Hz.
+    sources : SHA-256 of every render by its path within the dataset.
+    """
+
+    scenes: Annotated[tuple[str, ...], Field(min_length=1)]
+    width: WholeCount
+    height: WholeCount
+    frequencies_hz: tuple[float, ...]
+    sources: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.scenes[0]
+
+    @property
+    def layout(self) -> RowLayout:
+        """Shape of a row."""
+        return RowLayout(self.width, self.height, len(self.frequencies_hz))
+
+    @property
+    def arrays(self) -> dict[str, tuple[DTypeLike, tuple[int, ...]]]:
+        """Number type and shape of each array."""
+        rows = len(self.scenes)
+        return {name: (dtype, (rows, *shape)) for name, (dtype, shape) in self.layout.arrays.items()}
+
+
+@dataclass(frozen=True, config=STRICT)
+class PieceRecord:
+    """Contents of ``piece.json``: sources of the piece, and SHA-256 of its files by name."""
+
+    contents: PieceContents
+    files: dict[str, str]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -48,7 +93,7 @@ class ShardManifest:
     scenes_per_piece: WholeCount
     pieces: tuple[PieceRecord, ...]
     reference_sha256: str
-    schema_version: Literal[2] = SHARD_SCHEMA
+    schema_version: Literal[3] = SHARD_SCHEMA
     fields_of_view_deg: Annotated[tuple[FieldOfView, ...], Field(exclude_if=lambda value: not value)] = ()
 
     def __post_init__(self) -> None:
@@ -86,3 +131,12 @@ def write_manifest(folder: Path, manifest: ShardManifest) -> None:
     """Write ``manifest.json``."""
     text = TypeAdapter(ShardManifest).dump_json(manifest, indent=1).decode()
     write_text(folder / MANIFEST_FILE, text + "\n")
+
+
+def read_piece_record(folder: Path) -> PieceRecord | None:
+    """Record of a piece; None if it is missing or unreadable. Its arrays are not looked at."""
+    file = folder / RECORD_FILE
+    try:
+        return TypeAdapter(PieceRecord).validate_json(read_plain(file, _MOST_PIECE_BYTES))
+    except (OSError, ValidationError):
+        return None

@@ -1,80 +1,38 @@
 """A piece of the shards: a folder with the arrays of consecutive scenes, small enough to read as a whole.
 
 ======================  ====================================================================================
-``phasors.npy``         (n, 2F, H, W) float32, F real parts, then F imaginary parts
-``target.npy``          (n, 2, H, W) float32, Re and Im of the mirrored scene
+``phasors.npy``         (n, H, W, F) complex64
+``target.npy``          (n, H, W) complex64, phasor of the mirrored scene at the first frequency
 ``radial_depth_m.npy``  (n, H, W) float32, metres, 0 on background
 ``mask.npy``            (n, H, W) uint8, 0 or 1
 ``piece.json``          SHA-256 of these arrays and of the renders from which they were made
 ======================  ====================================================================================
 
-Phasors are float32, because half floats cannot represent the hidden 0.2 % of the signal (docs/design.md,
+Phasors are complex64: half floats cannot represent the hidden 0.2 % of the signal (docs/science/design.md,
 Number types).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-from numpy.typing import DTypeLike
-from pydantic import Field, TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from pydantic import TypeAdapter
 
-from model.data.array_files import is_array_file
-from model.data.rows import ARRAYS, RowLayout
-from storage import FileHashes
-from storage.contract import STRICT
-from storage.plain_file import read_plain
-from storage.quantities import WholeCount
+from model.data.array_files import ArrayFile, header_of, is_array_file, read_array
+from model.data.manifest import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
+from model.data.renders import RenderedScene, ShardError, read_render
+from model.data.rows import ARRAYS, RowBlock, RowLayout
+from model.settings.run import GroundTruth
+from scenegen import Dataset
+from storage import FileHashes, whole_folder
 
 PIECE_BYTES = 128 * 2**20  # upper limit, unless one scene takes more
-RECORD_FILE = "piece.json"
-_MOST_BYTES = 2**28  # of a record
 PIECE_FILES = (*(f"{name}.npy" for name in ARRAYS), RECORD_FILE)
-
-
-@dataclass(frozen=True, config=STRICT)
-class PieceContents:
-    """Sources of a piece; they determine its arrays.
-
-    Attributes
-    ----------
-    scenes : n scene ids in the order of the rows; the first is the piece's name.
-    width, height : image size, pixels.
-    frequencies_hz : F modulation frequencies, Hz.
-    sources : SHA-256 of every render by its path within the dataset.
-    """
-
-    scenes: Annotated[tuple[str, ...], Field(min_length=1)]
-    width: WholeCount
-    height: WholeCount
-    frequencies_hz: tuple[float, ...]
-    sources: dict[str, str]
-
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self.scenes[0]
-
-    @property
-    def layout(self) -> RowLayout:
-        """Shape of a row."""
-        return RowLayout(self.width, self.height, len(self.frequencies_hz))
-
-    @property
-    def arrays(self) -> dict[str, tuple[DTypeLike, tuple[int, ...]]]:
-        """Number type and shape of each array."""
-        rows = len(self.scenes)
-        return {name: (dtype, (rows, *shape)) for name, (dtype, shape) in self.layout.arrays.items()}
-
-
-@dataclass(frozen=True, config=STRICT)
-class PieceRecord:
-    """Contents of ``piece.json``: sources of the piece, and SHA-256 of its files by name."""
-
-    contents: PieceContents
-    files: dict[str, str]
 
 
 def scenes_per_piece(layout: RowLayout) -> int:
@@ -82,15 +40,6 @@ def scenes_per_piece(layout: RowLayout) -> int:
     count = max(1, PIECE_BYTES // layout.row_bytes)
     unit = 10 ** (len(str(count)) - 1)
     return int(count // unit * unit)
-
-
-def read_piece_record(folder: Path) -> PieceRecord | None:
-    """Record of a piece; None if it is missing or unreadable. Its arrays are not looked at."""
-    file = folder / RECORD_FILE
-    try:
-        return TypeAdapter(PieceRecord).validate_json(read_plain(file, _MOST_BYTES))
-    except (OSError, ValidationError):
-        return None
 
 
 def has_its_arrays(folder: Path, contents: PieceContents) -> bool:
@@ -124,3 +73,122 @@ def why_stale(folder: Path, contents: PieceContents, hashes: FileHashes) -> str 
         if not is_whole or hashes.sha256(folder / name) != record.files.get(name):
             return f"{folder.name}/{name} is missing or damaged"
     return None
+
+
+def write_piece(
+    dataset: Dataset,
+    folder: Path,
+    contents: PieceContents,
+    on_scene: Callable[[], None],
+    ground_truth: GroundTruth,
+) -> None:
+    """Write a piece, whole or not at all; memory holds one scene at a time.
+
+    Parameters
+    ----------
+    on_scene : called after every scene.
+
+    Raises
+    ------
+    ShardError, ImageFileError : a render cannot be used, or its size is not the piece's.
+    """
+    with whole_folder(folder) as partial:
+        with ExitStack() as stack:
+            files = {}
+            for name, (dtype, shape) in contents.arrays.items():
+                stream = stack.enter_context((partial / f"{name}.npy").open("wb"))
+                files[name] = ArrayFile(stream, dtype, shape)
+            for rendered in _rendered(dataset, contents, ground_truth):
+                truth = rendered.truth
+                files["phasors"].append(rendered.phasor)
+                files["target"].append(truth.phasor)
+                files["radial_depth_m"].append(truth.radial_depth_m)
+                files["mask"].append(truth.mask)
+                on_scene()
+        record = PieceRecord(contents, {f"{name}.npy": file.sha256() for name, file in files.items()})
+        (partial / RECORD_FILE).write_bytes(TypeAdapter(PieceRecord).dump_json(record, indent=1) + b"\n")
+
+
+def read_rows(
+    folder: Path, contents: PieceContents, block: RowBlock, rows: Sequence[tuple[int, int]]
+) -> None:
+    """Copy rows of a piece into `block`.
+
+    If at least half of the piece is needed, it is read as a whole; otherwise only the rows, in file order.
+
+    Parameters
+    ----------
+    rows : pairs (place in `block`, row of the piece).
+
+    Raises
+    ------
+    ShardError : the piece changed after the shards were opened, or holds values that no render has.
+    """
+    ordered = sorted(rows, key=lambda pair: pair[1])
+    changed = ShardError(
+        f"{folder} changed while it was in use: another process rebuilt the shards; start again"
+    )
+    try:
+        for name, (dtype, shape) in contents.arrays.items():
+            file, array = folder / f"{name}.npy", getattr(block, name)
+            if 2 * len(ordered) >= len(contents.scenes):
+                whole = read_array(file, dtype, shape)
+                for place, row in ordered:
+                    array[place] = whole[row]
+                del whole  # frees it before the next array is read
+            else:
+                _read_single_rows(file, dtype, shape, array, ordered)
+    except (EOFError, FileNotFoundError, IndexError, ValueError):
+        raise changed from None
+    record = read_piece_record(folder)
+    if record is None or record.contents != contents:
+        raise changed
+    for name in contents.arrays:
+        if not all(_is_possible(name, getattr(block, name)[place]) for place, _ in ordered):
+            raise ShardError(
+                f"{folder / name}.npy holds NaN, infinite or impossible values, although its record vouches "
+                f"for it: delete the folder {folder}, which is then built again"
+            )
+
+
+def _is_possible(name: str, row: NDArray[Any]) -> bool:
+    """Whether a row of an array can come from a render: finite, a depth from 0 on, a mask of 0 and 1."""
+    if name == "mask":
+        return bool(row.max() <= 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_finite = bool(np.isfinite(row.sum()))  # one pass; NaN and infinity do not leave a sum
+    return is_finite and not (name == "radial_depth_m" and row.min() < 0)
+
+
+def _read_single_rows(
+    file: Path,
+    dtype: DTypeLike,
+    shape: tuple[int, ...],
+    array: NDArray[Any],
+    rows: Sequence[tuple[int, int]],
+) -> None:
+    """Copy rows of a ``.npy`` file of this shape into `array`, without reading the other rows."""
+    if not is_array_file(file, dtype, shape):
+        raise ValueError(file)
+    start = len(header_of(dtype, shape))
+    with file.open("rb") as stream:
+        for place, row in rows:
+            target = array[place]
+            stream.seek(start + row * target.nbytes)
+            if stream.readinto(target) != target.nbytes:
+                raise EOFError(file)
+
+
+def _rendered(
+    dataset: Dataset, contents: PieceContents, ground_truth: GroundTruth
+) -> Iterator[RenderedScene]:
+    """The scenes of a piece, one at a time; `ShardError` if a size is not the piece's."""
+    for scene in contents.scenes:
+        rendered = read_render(dataset, scene, ground_truth)
+        if rendered.truth.mask.shape != (contents.height, contents.width):
+            raise ShardError(
+                f"wrong resolution between stages: scene {scene} was rendered at {rendered.size} pixels, "
+                f"scene {dataset.ids()[0]} at {contents.width}x{contents.height}; render them all at one "
+                "resolution"
+            )
+        yield rendered

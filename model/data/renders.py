@@ -18,7 +18,7 @@ from itof import (
     phase,
     read_image,
 )
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from scenegen import (
     GROUND_TRUTH_FILE,
     MEASUREMENT_FILE,

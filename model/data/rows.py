@@ -12,8 +12,6 @@ import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import DTypeLike
 
-from itof import join_components
-
 ARRAYS = ("phasors", "target", "radial_depth_m", "mask")
 
 
@@ -27,11 +25,11 @@ class RowLayout:
 
     @property
     def arrays(self) -> dict[str, tuple[DTypeLike, tuple[int, ...]]]:
-        """Number type and shape of a row in each array; phasors hold F real, then F imaginary parts."""
+        """Number type and shape of a row in each array."""
         image = (self.height, self.width)
         return {
-            "phasors": (np.float32, (2 * self.frequency_count, *image)),
-            "target": (np.float32, (2, *image)),
+            "phasors": (np.complex64, (*image, self.frequency_count)),
+            "target": (np.complex64, image),
             "radial_depth_m": (np.float32, image),
             "mask": (np.uint8, image),
         }
@@ -54,8 +52,8 @@ class RowBlock:
     Attributes
     ----------
     rows : n row numbers, in the order of the arrays.
-    phasors : (n, 2F, H, W) float32, F real parts, then F imaginary parts.
-    target : (n, 2, H, W) float32, Re and Im of the mirrored scene at the first frequency.
+    phasors : (n, H, W, F) complex64.
+    target : (n, H, W) complex64, phasor of the mirrored scene at the first frequency.
     radial_depth_m : (n, H, W) float32, metres, 0 on background.
     mask : (n, H, W) uint8, 0 or 1.
     reference : (n, H, W, F or F + 1) complex64, `InputSpec.reference_of_image` of every image
@@ -71,10 +69,6 @@ class RowBlock:
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    def complex_phasors(self) -> Any:
-        """(n, H, W, F) complex64 phasors."""
-        return join_components(array_namespace(self.phasors).moveaxis(self.phasors, 1, -1))
 
     def take(self, rows: Sequence[int]) -> RowBlock:
         """A copy of some rows, in the order of `rows`."""

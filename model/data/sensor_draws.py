@@ -50,7 +50,7 @@ class SensorDraws:
         drift = drift.to(phasor.device)[:, None, None]
         seen: Tensor = self.camera.mean(phasor * torch.polar(torch.ones_like(drift), drift), cameras)
         noise = torch.stack([each.noise(phasor[0]) for each in drawn])
-        seen = seen + self.camera.spread(phasor) * noise
+        seen = seen + torch.as_tensor(self.camera.spread(phasor)) * noise
         if self.empty is None:
             return seen
         corner = self.empty * quotient(torch, phasor[..., :1].abs(), self.empty[..., :1].abs())

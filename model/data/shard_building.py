@@ -8,25 +8,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+from numpy.typing import DTypeLike
 
-from itof import split_components
 from model.data.array_files import ArrayFile, is_array_file
 from model.data.corner import wall_view
-from model.data.manifest import MANIFEST_FILE, ShardManifest, preset_sha256, read_manifest, write_manifest
-from model.data.piece_arrays import write_piece
-from model.data.pieces import (
-    PIECE_FILES,
+from model.data.manifest import (
+    MANIFEST_FILE,
     PieceContents,
     PieceRecord,
-    has_its_arrays,
+    ShardManifest,
+    preset_sha256,
+    read_manifest,
     read_piece_record,
-    scenes_per_piece,
-    why_stale,
+    write_manifest,
 )
+from model.data.pieces import PIECE_FILES, has_its_arrays, scenes_per_piece, why_stale, write_piece
 from model.data.renders import ShardError, read_render, source_hashes
-from model.data.rows import ARRAYS, RowLayout
-from model.settings import GroundTruth
+from model.data.rows import RowLayout
+from model.settings.run import GroundTruth
 from processes.progress import showing_progress
 from scenegen import Dataset
 from storage import FileHashes, inside, whole_file
@@ -166,17 +165,14 @@ def _update_reference(
     reference = wall_view(dataset).direct_phasors(
         layout.width, layout.height, dataset.preset.itof.frequencies_hz
     )
-    components = split_components(reference)  # (H, W, 2F)
     with whole_file(file) as partial, partial.open("wb") as stream:
-        array = ArrayFile(stream, *reference_array(layout))
-        for component in np.moveaxis(components, -1, 0):
-            array.append(component)
+        ArrayFile(stream, *reference_array(layout)).append(reference)
     return hashes.sha256(file)
 
 
-def reference_array(layout: RowLayout) -> tuple[type[np.float32], tuple[int, ...]]:
-    """Number type and shape of the array in ``reference.npy``."""
-    return np.float32, (2 * layout.frequency_count, layout.height, layout.width)
+def reference_array(layout: RowLayout) -> tuple[DTypeLike, tuple[int, ...]]:
+    """Number type and shape of the array in ``reference.npy``: those of the phasors of a row."""
+    return layout.arrays["phasors"]
 
 
 def _refuse_other_files(folder: Path) -> None:
@@ -191,12 +187,10 @@ def _refuse_other_files(folder: Path) -> None:
 
 
 def _remove_surplus(folder: Path, pieces: set[str]) -> None:
-    """Remove pieces of another layout, arrays of schema version 1 and files of killed processes."""
+    """Remove pieces of another layout and files of killed processes."""
     if not folder.is_dir():
         return
     remove_leftovers(folder)
     for entry in folder.iterdir():
         if entry.is_dir() and entry.name.isdigit() and entry.name not in pieces:
             entry.unlink() if entry.is_symlink() else shutil.rmtree(entry)
-        elif entry.name in {f"{name}.npy" for name in ARRAYS}:
-            entry.unlink()

@@ -1,7 +1,7 @@
-"""Shards: a dataset's renders as float32 arrays that training reads, in pieces of at most 128 MiB.
+"""Shards: a dataset's renders as arrays that training reads, in pieces of at most 128 MiB.
 
 The folder ``shards/`` of a dataset holds a folder for each piece (`model.data.pieces`), named after its first
-scene; ``reference.npy`` (2F, H, W), the direct return of the relay wall; and ``manifest.json``
+scene; ``reference.npy`` (H, W, F) complex64, the direct return of the relay wall; and ``manifest.json``
 (`model.data.manifest`), which is written last and lists the pieces. An update rewrites only the pieces whose
 renders changed (`model.data.shard_building`).
 """
@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import join_components
 from model.data.array_files import read_array
 from model.data.manifest import MANIFEST_FILE, ShardManifest
-from model.data.piece_arrays import read_rows
+from model.data.pieces import read_rows
 from model.data.renders import TRUTH_FILES, ShardError
 from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
-from model.settings import GroundTruth
+from model.settings.run import GroundTruth
 from scenegen import MEASUREMENT_FILE, Dataset, RenderRecord, Split, read_failure, read_record
 from storage import FileHashes
 
@@ -38,12 +37,12 @@ class Shards:
     ----------
     folder : folder of the shards.
     manifest : their contents.
-    reference : (H, W, F) complex direct return of the relay wall.
+    reference : (H, W, F) complex64 direct return of the relay wall.
     """
 
     folder: Path
     manifest: ShardManifest
-    reference: NDArray[np.complex128]
+    reference: NDArray[np.complex64]
 
     def rows(self, split: Split) -> list[int]:
         """Rows of a split, in scene order."""
@@ -75,10 +74,6 @@ class Shards:
             read_rows(self.folder / contents.name, contents, block, pairs)
         return block
 
-    def complex_phasors(self, rows: Sequence[int]) -> NDArray[np.complex128]:
-        """(n, H, W, F) phasors of rows, read from disk."""
-        return self.read(rows).complex_phasors()
-
 
 def open_shards(
     dataset: Dataset, *, ground_truth: GroundTruth = "geometry", progress: bool = False
@@ -106,7 +101,7 @@ def open_shards(
     folder = shard_folder(dataset, ground_truth)
     file = folder / REFERENCE_FILE
     try:
-        reference = read_array(file, *reference_array(manifest.layout))  # (2F, H, W)
+        reference = read_array(file, *reference_array(manifest.layout))
     except (OSError, ValueError):
         raise ShardError(
             f"{file} changed while it was in use: another process rebuilt the shards; start again"
@@ -116,7 +111,7 @@ def open_shards(
             f"{file} holds NaN or infinite values, although {MANIFEST_FILE} vouches for it: delete it, and "
             "it is made again"
         )
-    return Shards(folder, manifest, join_components(np.moveaxis(reference, 0, -1)))
+    return Shards(folder, manifest, reference)
 
 
 def _without_failures(dataset: Dataset, ground_truth: GroundTruth) -> Dataset:

@@ -21,7 +21,6 @@ from model.judging.refusals import (
     refuse_scenes_not_shown,
     refuse_scenes_without_render,
 )
-from model.judging.report.page import write_page
 from model.judging.report_files import write_files
 from model.judging.results import Report
 from model.judging.showcase import choose, choose_for_figures
@@ -29,9 +28,11 @@ from model.prediction.predictor import Predictor, load
 from model.run_folder.history import read_history
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import WEIGHTS_FILE
-from model.settings import DeviceName, MaskSource
+from model.settings.run import DeviceName
+from model.settings.target import MaskSource
 from scenegen import Dataset, Split
 from storage import PathLike, sha256_of, whole_folder
+from storage.extras import need
 
 _TRIES = 3  # to read weights and history of a run that goes on
 
@@ -79,7 +80,11 @@ def evaluate(
         but an earlier report.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     DatasetError : the dataset lacks one of `scenes`, or the description of a scene is missing or damaged.
+    MissingPackageError : the extra ``report`` is not installed.
     """
+    need("report", ("jinja2", "plotly"), "the report of night-eval")
+    from model.judging.report.page import write_page
+
     run, out = run_folder(run), Path(out).resolve()  # `whole_folder` needs a name; "." has none
     refuse_other_contents(out)
     if mask_threshold is not None and not (math.isfinite(mask_threshold) and mask_threshold > 0):

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
-from itof import DepthMap, join_components, phasor_of_return
+from itof import DepthMap, phasor_of_return
 from itof.pictures.pointclouds import (
     TRUTH_COLOUR,
     distance_colours,
@@ -67,7 +67,7 @@ class Bench:
         used = self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
         fields_of_view_deg = self.shards.fields_of_view_deg(block.rows)
         prediction = self.predictor.predict(
-            block.complex_phasors()[..., used],
+            block.phasors[..., used],
             None if fields_of_view_deg else self.shards.reference[..., used],
             fields_of_view_deg=fields_of_view_deg,
         )
@@ -152,7 +152,8 @@ def _true_phasor(bench: Bench, block: RowBlock) -> NDArray[np.complexfloating]:
     """(H, W) true phasor of the first row of a block, at the frequency of the network's output."""
     frequency_hz = bench.readout.frequency_hz
     if frequency_hz == bench.shards.manifest.frequencies_hz[0]:
-        return join_components(np.moveaxis(block.target[0], 0, -1))[..., 0]
+        true: NDArray[np.complex64] = block.target[0]
+        return true
     return (block.mask[0] > 0) * phasor_of_return(block.radial_depth_m[0], frequency_hz)
 
 

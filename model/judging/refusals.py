@@ -9,7 +9,7 @@ from model.data.corner import many_corners_problem
 from model.data.shards import Shards
 from model.judging.report_files import files_of_report
 from model.run_folder.run_config import RunConfig
-from model.settings import MaskSource
+from model.settings.target import MaskSource
 from scenegen import Dataset, Split
 from storage import NightError
 from storage.own_files import refuse_other_files
@@ -30,7 +30,7 @@ def refuse_other_masks(
     trained: RunConfig, mask_from: MaskSource | None, mask_threshold: float | None
 ) -> None:
     """Refuse masks that the outputs of a network do not give."""
-    if trained.settings.target == "depth" and (mask_from == "amplitude" or mask_threshold is not None):
+    if trained.settings.target.kind == "depth" and (mask_from == "amplitude" or mask_threshold is not None):
         raise EvaluationError(
             "the network predicts depth and no amplitude: leave --mask-from and --mask-threshold out"
         )

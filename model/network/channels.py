@@ -14,7 +14,7 @@ from itof import SubpixelWeights, megahertz, network_channels, residual_channels
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.wall_fit import WallFit
-from model.settings import Channels, Reference
+from model.settings.input import Channels, Reference
 from storage import NightError
 from storage.contract import STRICT
 from storage.quantities import Positive
@@ -37,7 +37,7 @@ class InputSpec:
     ``residual``: the channels of `itof.residual_channels`, five for three frequencies. They divide the
     phasors by the direct return of the relay wall and keep the differences. Each channel is divided by its
     standard deviation over the training scenes. This gives the hidden light, 0.2 % of the signal, unit
-    variance; without it a network learns slowly (docs/design.md, Input channels).
+    variance; without it a network learns slowly (docs/science/design.md, Input channels).
 
     ``residual+wall``: one more, the inverse distance of the wall along the ray of each pixel, as the fit of
     ``self`` finds it, less its mean and over its standard deviation over the training scenes. With it the

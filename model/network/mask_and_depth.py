@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from itof import unambiguous_range_m
 from model.network.readout import Readout, straight_through
-from model.settings import Target, TrainSettings
+from model.settings.target import MaskAndDepthTarget, Target
 
 LARGEST_LOG_ERROR = 10.0
 MOST_CERTAIN = 40.0  # logit
@@ -37,7 +37,7 @@ class MaskAndDepth(Readout):
     """
 
     dead_zone: float = 0.0
-    target: Target = "mask+depth"
+    target: Target = MaskAndDepthTarget.kind
     depth_mean_m: float = 0.0
     depth_spread_m: float = 1.0
     has_uncertainty: bool = False
@@ -98,7 +98,7 @@ class MaskAndDepthLoss:
     """
 
     readout: MaskAndDepth
-    beta: float = TrainSettings.smooth_l1_beta
+    beta: float = MaskAndDepthTarget.smooth_l1_beta
 
     def __call__(self, output: Tensor, target: Tensor, radial_depth_m: Tensor, mask: Tensor) -> Tensor:
         """Loss of (N, 2, H, W) outputs, a scalar; the parameters are those of `NightLoss`."""

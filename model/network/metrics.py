@@ -86,7 +86,7 @@ def image_metrics(
     ValueError : the images differ in size, or a depth is not finite.
 
     Source: Caligiuri et al. 2024, sec. 6 (MAE and mIoU); that MAE counts all pixels, and mIoU object and
-    background, is our reading (docs/paper.md).
+    background, is our reading (docs/science/paper.md).
     """
     depth_pred, depth_gt = (np.asarray(d, dtype=np.float64) for d in (radial_depth_pred_m, radial_depth_gt_m))
     pred, truth = (np.asarray(m).astype(bool) for m in (mask_pred, mask_gt))

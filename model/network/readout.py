@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from itof import depth_from_phase, unambiguous_range_m
-from model.settings import MaskGradient, MaskSource, Target, TrainSettings
+from model.settings.target import ComponentsTarget, MaskGradient, MaskSource, Target
 
 # The gradient of the phase is 1 / amplitude and diverges at 0. Below this amplitude, the dead zone of the
 # paper's released code, it is that of this amplitude.
@@ -46,12 +46,12 @@ class Readout:
     """
 
     frequency_hz: float
-    mask_threshold: float = TrainSettings.mask_threshold
-    dead_zone: float = TrainSettings.dead_zone
-    mask_from: MaskSource = TrainSettings.mask_from
-    mask_depth_m: float = TrainSettings.mask_depth_m
-    target: Target = TrainSettings.target
-    mask_gradient: MaskGradient = TrainSettings.mask_gradient
+    mask_threshold: float = ComponentsTarget.mask_threshold
+    dead_zone: float = ComponentsTarget.dead_zone
+    mask_from: MaskSource = ComponentsTarget.mask_from
+    mask_depth_m: float = ComponentsTarget.mask_depth_m
+    target: Target = ComponentsTarget.kind
+    mask_gradient: MaskGradient = ComponentsTarget.mask_gradient
 
     def __post_init__(self) -> None:
         if self.target == "depth" and self.mask_from != "depth":
@@ -102,7 +102,7 @@ class Readout:
         about ten times that of the mean absolute error on every object pixel and drives amplitudes to 1e17.
         A mask from the depth has this gradient, too: the depth of a pixel appears and disappears with its
         amplitude, at the dead zone. The gradient of the depth itself (`mask_gradient`) only turns phases, and
-        with it trainings end at "no object" (docs/results.md).
+        with it trainings end at "no object" (notebook/results.md).
 
         *Of a depth.* The gradient is that of the depth in metres, in the pixels whose mask would
         change if the gradient were followed far enough: those that show the object and should not, and the

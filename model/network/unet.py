@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.network.bounce_images import PLANES, BounceImages
-from model.settings import Freeze
 
 LEVELS = 5  # of the encoder of the paper's network, with four poolings between them
 HEAD_CHANNELS = (16, 8, 4)  # then the output
@@ -30,7 +29,7 @@ class UNet(nn.Module):
 
     *Blocks.* With `block` > 1, each block of that many pixels squared becomes one position of the U-Net, and
     all its values are channels of it; the U-Net's output becomes pixels again before the head's 3x3
-    convolutions. Hidden light varies smoothly over the wall, so nothing is lost (docs/experiments.md), and
+    convolutions. Hidden light is smooth over the wall, so nothing is lost (notebook/experiments.md), and
     the U-Net has a quarter of the multiplications with 2. The paper's network has 1.
 
     *Rectifiers.* A ReLU that is 0 in every pixel of every image gets no gradient any more: such units are
@@ -53,7 +52,7 @@ class UNet(nn.Module):
     is constant over the image.
 
     *Number types.* Under `torch.autocast` the first block and the head compute in float32. A half float can
-    represent neither the hidden 0.2 % of an input channel (docs/design.md, Number types) nor phase
+    represent neither the hidden 0.2 % of an input channel (docs/science/design.md, Number types) nor phase
     differences of a few thousandths of a radian.
 
     Parameters
@@ -145,21 +144,6 @@ class UNet(nn.Module):
             if self.uncertainty_head is not None:
                 output = torch.cat([output, self.uncertainty_head(features.detach())], dim=1)
         return output[..., top : top + height, left : left + width]
-
-    def freeze(self, layers: Freeze) -> None:
-        """Leave some layers out of the training: ``encoder``, encoder and decoder (``all-but-head``), or all
-        but the head of the uncertainty (``all-but-uncertainty``).
-
-        There are no normalisation layers, so weights and biases are all that a layer has.
-        """
-        frozen = {
-            "none": (),
-            "encoder": (self.encoder,),
-            "all-but-head": (self.encoder, self.upsampling, self.decoder),
-            "all-but-uncertainty": (self.encoder, self.upsampling, self.decoder, self.head),
-        }
-        for part in frozen[layers]:
-            part.requires_grad_(False)
 
     @property
     def independent_parts(self) -> tuple[list[nn.Parameter], ...]:

@@ -16,7 +16,7 @@ from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding
 from itof.wall.plausibility import check_measurement, check_reference
 from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from storage import PathLike
 

@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,11 +20,12 @@ from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from storage import NightError, PathLike, whole_file
+from storage.extras import need
 
 INPUT: Final = "channels"
-# Names of the output, by settings.target and settings.uncertainty.
+# Names of the output, by target, and whether it has an uncertainty.
 OUTPUTS: Final = {
     ("components", False): "components",
     ("depth", False): "radial_depth_m",
@@ -33,7 +33,6 @@ OUTPUTS: Final = {
     ("mask+depth", True): "logit_depth_and_log_error",
 }
 METADATA: Final = "night.run"  # key of the metadata; its value is ``run.json``
-NEEDED: Final = ("onnx", "onnxruntime", "onnxscript")
 # Batches of the check: number of images, amplitude of their channels. There are several amplitudes because
 # the units of a trained network may all be inactive at one of them; a comparison of zeros proves nothing.
 CHECKED: Final = ((1, 1.0), (3, 1.0), (1, 10.0), (1, 100.0))
@@ -44,7 +43,7 @@ ALLOWANCE: Final = 10.0
 
 
 class ExportError(NightError):
-    """Export failed: the file name is wrong, a package is missing, or the exported network differs."""
+    """Export failed: the file name is wrong, or the exported network differs."""
 
 
 @dataclass(frozen=True)
@@ -91,18 +90,15 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
 
     Raises
     ------
-    ExportError : `out` does not end in .onnx or is a folder; a package is missing; the outputs differ by more
-        than rounding, or are not finite.
+    ExportError : `out` does not end in .onnx or is a folder; the outputs differ by more than rounding, or are
+        not finite.
+    MissingPackageError : the extra ``onnx`` is not installed.
     RunError : the run cannot be used.
     """
     out = Path(out)
     if out.suffix != ".onnx" or out.is_dir():
         raise ExportError(f"{out} cannot be an ONNX file: give a file that ends in .onnx")
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if missing:
-        raise ExportError(
-            f"ONNX export needs {', '.join(missing)}: install it with  pip install 'night-nlos[onnx]'"
-        )
+    need("onnx", ("onnx", "onnxruntime", "onnxscript"), "night-eval export")
     predictor = load(run, "cpu")
     network, config = predictor.network.eval(), predictor.config
     with plain_memory_errors():
@@ -120,7 +116,7 @@ def export_onnx(run: PathLike, out: PathLike, *, seed: int = 0) -> OnnxCheck:
 
 def output_name(settings: TrainSettings) -> str:
     """Name of the output of a network with these settings."""
-    return OUTPUTS[settings.target, settings.uncertainty]
+    return OUTPUTS[settings.target.kind, settings.predicts_uncertainty]
 
 
 def _onnx_model(network: UNet, config: RunConfig) -> Any:

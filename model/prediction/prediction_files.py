@@ -22,7 +22,7 @@ from itof.wall.wall_search import locate_wall
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.run_folder.shipped import run_folder
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from storage import NightError, PathLike, whole_folder, write_text
 from storage.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from itof import DepthMap, amplitude, join_components
+from itof import DepthMap, amplitude
 from itof.wall.empty_corner import CapturedPlane, captured_wall, find_wall
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallPlaceError, WallView
@@ -24,7 +24,7 @@ from model.prediction.expected_error import expected_mae_m
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from storage import NightError, PathLike
 from storage.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 
@@ -232,7 +232,7 @@ class Predictor:
         self.network.eval()
         images = torch.from_numpy(channels).to(self.device)
         output = self.network(images)  # (N, C, H, W)
-        if self.config.settings.average_flip:
+        if self.config.settings.run.average_flip:
             output = average_with_flip(self.network, images, output)
         if not bool(output.isfinite().all()):
             raise RunError(
@@ -252,13 +252,12 @@ def _refuse_not_phasors(z: NDArray[np.generic], what: str) -> None:
 def read_output(output: Tensor, readout: Readout) -> DepthMap:
     """Depth maps (N, H, W) of network outputs (N, C, H, W)."""
     output = output.detach()
-    components = np.moveaxis(readout.components(output).cpu().numpy(), 1, -1)  # (N, H, W, 2)
-    phasor = join_components(components)[..., 0].astype(np.complex64)  # (N, H, W)
+    phasor = torch.complex(*readout.components(output).unbind(1))  # (N, H, W)
     error_m = readout.depth_error_m(output) if isinstance(readout, MaskAndDepth) else None
     return DepthMap(
         readout.radial_depth_m(output).cpu().numpy(),
         readout.mask(output).cpu().numpy() > 0,
-        phasor,
+        phasor.cpu().numpy(),
         readout.frequency_hz,
         None if error_m is None else error_m.cpu().numpy(),
     )

@@ -26,7 +26,7 @@ from model.refinement.refining import Family
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
 from model.refinement.work import MOST_RESULT_BYTES, SCENES_FOLDER, Job, Recipe, read_result, worked
 from model.run_folder.shipped import run_folder
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import Dataset, Preset, Split
 from storage import PathLike, is_partial, whole_file, write_text

@@ -29,7 +29,7 @@ from model.refinement.refined_result import FoundSolid, RefinedScene, SceneNumbe
 from model.refinement.refining import Family, Refined, refined
 from model.refinement.settings import Unknown
 from model.run_folder.run_config import Sha256
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from processes.worker_processes import KILLED, results_in_order, worker_pool
 from scenegen import Dataset, Split, open_dataset
 from storage import whole_file, write_text
@@ -85,7 +85,7 @@ class Work:
         used = bench.predictor.config.inputs.places(bench.shards.manifest.frequencies_hz)
         wall = self.view.expected_wall(bench.shards.reference[..., used], frequencies_hz)
         prediction = bench.predict(block)[0]
-        phasor = block.complex_phasors()[0][..., used]
+        phasor = block.phasors[0][..., used]
         entry = bench.dataset.scene(scene)
         found = refined(phasor, prediction, wall, self.room, self.family, seed=entry.seed)
         expected_m = bench.predictor.expected_mae_m(prediction)

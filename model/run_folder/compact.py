@@ -23,17 +23,13 @@ def compact(run: PathLike, out: PathLike) -> Path:
 
     Raises
     ------
-    RunError : the run or its history is damaged, it is of schema 2 or without weights, a weight is too large
+    RunError : the run or its history is damaged or without weights, a weight is too large
         for 16 bits, or `out` exists.
     """
     folder, out = run_folder(run), Path(out).resolve()
     if out.exists():
         raise RunError(f"{out} exists already: choose another folder")
     config = read_config(folder)
-    if config.run_id is None:
-        raise RunError(
-            f"{folder} is a run of an earlier version without an id: resume it once, then publish it"
-        )
     network, _ = trained_network(folder, config)
     weights = network.state_dict()
     large = next((name for name, each in weights.items() if not bool(each.half().isfinite().all())), None)

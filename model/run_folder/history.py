@@ -29,8 +29,7 @@ class EpochRecord:
 
     Attributes
     ----------
-    validation_uncertainty : the part of `validation_loss` that is the likelihood of the expected errors; None
-        in the runs of versions that did not tell it.
+    validation_uncertainty : the part of `validation_loss` that is the likelihood of the expected errors.
     """
 
     epoch: int
@@ -39,12 +38,12 @@ class EpochRecord:
     validation_loss: float
     validation_mae_cm: float
     validation_miou: float
-    validation_uncertainty: float | None = None
+    validation_uncertainty: float
 
     @property
     def is_possible(self) -> bool:
         """Whether a training can have written these values; for records that were read from a file."""
-        numbers = {name: getattr(self, name) for name in self.columns if name != "epoch"}
+        numbers = {name: getattr(self, name) for name in COLUMNS if name != "epoch"}
         return (
             type(self.epoch) is int
             and all(type(number) is float and math.isfinite(number) for number in numbers.values())
@@ -52,35 +51,19 @@ class EpochRecord:
             and self.validation_miou <= 1 + 1e-6  # and rounding
         )
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the values that the record has."""
-        return COLUMNS[:-1] if self.validation_uncertainty is None else COLUMNS
 
-
-def kept_epoch(
-    validation_loss: Sequence[float], validation_uncertainty: Sequence[float | None], *, of_uncertainty: bool
-) -> int:
+def kept_epoch(validation_loss: Sequence[float], validation_uncertainty: Sequence[float]) -> int:
     """Index of the epoch whose weights are kept: the first with the smallest of `compared_losses`."""
-    losses = compared_losses(validation_loss, validation_uncertainty, of_uncertainty=of_uncertainty)
+    losses = compared_losses(validation_loss, validation_uncertainty)
     return losses.index(min(losses))
 
 
-def compared_losses(
-    validation_loss: Sequence[float], validation_uncertainty: Sequence[float | None], *, of_uncertainty: bool
-) -> list[float]:
+def compared_losses(validation_loss: Sequence[float], validation_uncertainty: Sequence[float]) -> list[float]:
     """Losses by which the epochs of a run are compared.
 
     They are those of mask and depth, so that the uncertainty does not change which weights are kept.
-
-    Parameters
-    ----------
-    validation_uncertainty : as in `EpochRecord`; with any None, the losses are compared as they are.
-    of_uncertainty : only the uncertainty is trained, so the whole loss counts.
     """
-    if of_uncertainty or None in validation_uncertainty:
-        return list(validation_loss)
-    return [loss - (part or 0.0) for loss, part in zip(validation_loss, validation_uncertainty, strict=True)]
+    return [loss - part for loss, part in zip(validation_loss, validation_uncertainty, strict=True)]
 
 
 # A likelihood of depths has negative logarithms.
@@ -89,12 +72,11 @@ COLUMNS: Final = tuple(field.name for field in fields(EpochRecord))
 
 
 def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
-    """Write ``history.csv``, with the columns that the first record has."""
-    columns = history[0].columns if history else COLUMNS
-    content = bytearray(",".join((*columns, CHECK)).encode() + _END)
+    """Write ``history.csv``."""
+    content = bytearray(",".join((*COLUMNS, CHECK)).encode() + _END)
     check = zlib.crc32(content)
     for record in history:
-        line = "".join(f"{getattr(record, name)}," for name in columns).encode()
+        line = "".join(f"{getattr(record, name)}," for name in COLUMNS).encode()
         check = zlib.crc32(line, check)
         line_end = f"{check:08x}".encode() + _END
         check = zlib.crc32(line_end, check)
@@ -106,7 +88,7 @@ def write_history(folder: Path, history: Sequence[EpochRecord]) -> None:
 def read_history(run: Path) -> dict[str, list[float]]:
     """Columns of a run's ``history.csv`` by name; empty if the file does not exist.
 
-    Runs of schema 2 have no checksums in this file, and earlier versions no `validation_uncertainty`.
+    Those of earlier versions have no `validation_uncertainty`.
 
     Raises
     ------
@@ -131,16 +113,15 @@ def _columns(content: bytes) -> dict[str, list[float]]:
     head, *lines = content.split(_END)
     if not lines or lines.pop() != b"":
         raise ValueError("its last line has no end")
-    is_checked = head.endswith(f",{CHECK}".encode())
-    names = tuple(head.removesuffix(f",{CHECK}".encode()).decode("ascii", "replace").split(","))
-    if names not in (COLUMNS, COLUMNS[:-1]):
+    names = tuple(head.decode("ascii", "replace").split(","))[:-1]
+    if not head.endswith(f",{CHECK}".encode()) or names not in (COLUMNS, COLUMNS[:-1]):
         raise ValueError("its first line is not that of a history")
     check = zlib.crc32(head + _END)
     columns: dict[str, list[float]] = {name: [] for name in names} if lines else {}
     for number, line in enumerate(lines, start=1):
-        values, comma, digits = line.rpartition(b",") if is_checked else (line, b"", b"")
+        values, comma, digits = line.rpartition(b",")
         check = zlib.crc32(values + comma, check)
-        if is_checked and digits != f"{check:08x}".encode():
+        if digits != f"{check:08x}".encode():
             raise ValueError(f"the checksum of epoch {number} is wrong")
         check = zlib.crc32(digits + _END, check)
         for name, value in zip(names, values.split(b","), strict=True):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -23,41 +22,18 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
-from model.settings import MAY_CHANGE_ON_RESUME, STARTING_SETTINGS, TrainSettings
+from model.settings.target import ComponentsTarget, MaskAndDepthTarget
+from model.settings.train_settings import MAY_CHANGE_ON_RESUME, TrainSettings, flat_settings, plain_settings
 from storage import NightError, PathLike, whole_file
 from storage.contract import STRICT, checked
 from storage.quantities import FieldOfView, Positive
 
-RUN_SCHEMA: Final = 3
-LABELLED_SINCE: Final = 3  # schema version from which on files contain their checksum
+RUN_SCHEMA: Final = 4
 CONFIG_FILE: Final = "run.json"
 _MARK: Final = ',\n  "sha256": "'
 _END: Final = '"\n}\n'
 _MOST_BYTES: Final = 2**20
 _REPAIR: Final = "take the file from a copy of the run, or train again"
-_LATER: Final = (
-    "reference",
-    "freeze",
-    "target",
-    "min_delta",
-    "ground_truth",
-    "average_flip",
-    "block",
-    "train_scenes",
-    "least_reflectance",
-    "uncertainty",
-    "sensor",
-    "sensor_capture",
-    "copies_per_change",
-    "mask_gradient",
-    "bounce_images",
-    "optimiser",
-    "revive",
-    "levels",
-    "negative_slope",
-    "smooth_l1_beta",
-)
-
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
 Metres = Annotated[float, Field(gt=0, le=1000)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -74,12 +50,12 @@ class StartingWeights:
     Attributes
     ----------
     run : name of its run folder, for people: the folder may be elsewhere by now, or gone.
-    run_id : id of that run; None if it was of schema 2.
+    run_id : id of that run.
     sha256 : SHA-256 of its ``best.safetensors``.
     """
 
     run: Annotated[str, Field(max_length=255)]
-    run_id: Sha256 | None
+    run_id: Sha256
     sha256: Sha256
 
 
@@ -97,11 +73,11 @@ class RunConfig:
     preset_sha256 : hash of the dataset's resolved preset.
     data_sha256 : hash of the scenes, splits and renders of the dataset.
     night_version : version of the program that trained the network.
-    run_id : `run_id_of` the run when it began, which weights and checkpoint repeat; None in schema 2.
+    run_id : `run_id_of` the run when it began, which weights and checkpoint repeat.
     background_per_object : background pixels per object pixel of the training scenes, a constant of the loss;
-        None if `settings.balance` does not need it.
+        None if `settings.target` does not need it.
     object_depth_m : mean and standard deviation of the object's radial depth in the training scenes, metres,
-        constants of the output for `settings.target` ``mask+depth``; None otherwise.
+        constants of the output for the target ``mask+depth``; None otherwise.
     started_from : the network that the training started from; None if from random weights.
     fields_of_view_deg : smallest and largest horizontal field of view of the scenes, degrees; None if all
         have that of `geometry`.
@@ -109,7 +85,7 @@ class RunConfig:
     Raises
     ------
     ValueError : `background_per_object` or `object_depth_m` is missing although the settings need it, or
-        `settings.block` is 0.
+        `settings.network.block` is 0.
     """
 
     settings: TrainSettings
@@ -121,8 +97,8 @@ class RunConfig:
     preset_sha256: str
     data_sha256: str
     night_version: str
-    run_id: Sha256 | None = None
-    schema_version: Literal[2, 3] = RUN_SCHEMA
+    run_id: Sha256
+    schema_version: Literal[4] = RUN_SCHEMA
     background_per_object: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
     object_depth_m: Annotated[tuple[Metres, Metres] | None, Field(exclude_if=lambda value: value is None)] = (
         None
@@ -133,11 +109,11 @@ class RunConfig:
     ] = None
 
     def __post_init__(self) -> None:
-        if self.settings.balance == "dataset" and self.background_per_object is None:
+        if self.settings.balances_dataset and self.background_per_object is None:
             raise ValueError("the balance dataset needs background_per_object")
         if self.settings.predicts_probability and self.object_depth_m is None:
             raise ValueError("the target mask+depth needs object_depth_m")
-        if self.settings.block == 0:
+        if self.settings.network.block == 0:
             raise ValueError("block 0 stands for a number that depends on the image; a run has that number")
 
     @property
@@ -149,22 +125,29 @@ class RunConfig:
     @property
     def readout(self) -> Readout:
         """Reads mask and depth from the output of this run's network."""
-        settings = self.settings
-        if self.object_depth_m:
+        target, frequency_hz = self.settings.target, self.output_frequency_hz
+        if isinstance(target, MaskAndDepthTarget):
+            mean_m, spread_m = self.object_depth_m or (0.0, 1.0)  # `__post_init__` refuses None
             return MaskAndDepth(
-                self.output_frequency_hz,
-                settings.mask_threshold,
+                frequency_hz,
+                target.mask_threshold,
                 mask_from="amplitude",
-                depth_mean_m=self.object_depth_m[0],
-                depth_spread_m=self.object_depth_m[1],
-                has_uncertainty=settings.uncertainty,
+                depth_mean_m=mean_m,
+                depth_spread_m=spread_m,
+                has_uncertainty=target.uncertainty,
+            )
+        if isinstance(target, ComponentsTarget):
+            return Readout(
+                *(frequency_hz, target.mask_threshold, target.dead_zone, target.mask_from),
+                mask_depth_m=target.mask_depth_m,
+                mask_gradient=target.mask_gradient,
             )
         return Readout(
-            *(self.output_frequency_hz, settings.mask_threshold, settings.dead_zone),
-            mask_from="depth" if settings.target == "depth" else settings.mask_from,
-            mask_depth_m=settings.mask_depth_m,
-            target=settings.target,
-            mask_gradient=settings.mask_gradient,
+            frequency_hz,
+            dead_zone=target.dead_zone,
+            mask_from="depth",
+            mask_depth_m=target.mask_depth_m,
+            target=target.kind,
         )
 
     def network(self, generator: torch.Generator | None = None) -> UNet:
@@ -173,16 +156,17 @@ class RunConfig:
         The images of the three bounces are black: the corner decides them
         (`model.refinement.light.inverse`), and they are saved with the weights.
         """
-        size = self.image_width, self.image_height
-        images = BounceImages(*self.inputs.residual_channels, *size) if self.settings.bounce_images else None
+        sizes, image = self.settings.network, (self.image_width, self.image_height)
+        has_images = self.settings.input.bounce_images
+        images = BounceImages(*self.inputs.residual_channels, *image) if has_images else None
         return UNet(
             self.inputs.channel_count,
-            self.settings.width,
-            levels=self.settings.levels,
-            negative_slope=self.settings.negative_slope,
+            sizes.width,
+            levels=sizes.levels,
+            negative_slope=sizes.negative_slope,
             output_channels=self.readout.output_channels,
-            block=self.settings.block,
-            uncertainty=self.settings.uncertainty,
+            block=sizes.block,
+            uncertainty=self.settings.predicts_uncertainty,
             images=images,
             generator=generator,
         )
@@ -191,17 +175,16 @@ class RunConfig:
 def run_id_of(config: RunConfig) -> str:
     """SHA-256 of all that decides the weights and cannot change when the run is resumed.
 
-    Two runs with the same settings on the same data have the same id; their weights are interchangeable. A
-    setting in `_LATER` counts only with another value than its default, so that earlier ids stay as they are.
+    Two runs with the same settings on the same data have the same id; their weights are interchangeable.
     """
     content = TypeAdapter(RunConfig).dump_python(config, mode="json")
     for name in ("night_version", "run_id", "schema_version"):
         del content[name]
     if config.started_from:
         content["started_from"] = config.started_from.sha256
-    unchanged = {name for name in _LATER if getattr(config.settings, name) == getattr(TrainSettings, name)}
-    for name in _may_change(config.settings) | unchanged:
-        del content["settings"][name]
+    for key in _may_change(config.settings):
+        group, name = key.split(".")
+        del content["settings"][group][name]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -214,7 +197,7 @@ def write_config(folder: Path, config: RunConfig) -> None:
 
 
 def read_config(folder: Path) -> RunConfig:
-    """Read ``run.json``. That of schema 2 has no checksum.
+    """Read ``run.json``.
 
     Raises
     ------
@@ -237,16 +220,14 @@ def read_config(folder: Path) -> RunConfig:
     if text is None and _MARK.encode() in content:
         raise RunError(f"{file} is damaged or was edited (wrong checksum): {_REPAIR}")
     schema = _schema_version(text or content, file)
-    if schema not in (2, RUN_SCHEMA):
+    if schema != RUN_SCHEMA:
         raise RunError(
             f"{file} has schema version {schema}, this program reads version {RUN_SCHEMA}: "
             "train again, or use the version of NIGHT that made it"
         )
-    if (text is None) != (schema < LABELLED_SINCE):
+    if text is None:
         raise RunError(f"{file} is damaged or was edited (no checksum): {_REPAIR}")
-    config: RunConfig = checked(TypeAdapter(RunConfig), text or content, str(file), RunError)
-    if (config.run_id is None) != (schema < LABELLED_SINCE):
-        raise RunError(f"{file} has no run_id that goes with schema version {schema}: {_REPAIR}")
+    config: RunConfig = checked(TypeAdapter(RunConfig), text, str(file), RunError)
     return config
 
 
@@ -271,40 +252,46 @@ def run_settings(folder: PathLike) -> dict[str, Any]:
     ------
     RunError : as in `read_config`.
     """
-    settings: dict[str, Any] = TypeAdapter(TrainSettings).dump_python(read_config(Path(folder)).settings)
-    return settings
+    return plain_settings(read_config(Path(folder)).settings)
 
 
 def fine_tuning_settings(folder: PathLike) -> dict[str, Any]:
     """The settings that a training takes over if it starts from the weights of this run, as plain data.
 
-    They are its network and input, which must stay, and its readout, loss and optimiser, which may be
-    changed.
+    They are its input, network and kind of target, which must stay, and the rest of its target and its
+    algorithm, which may be changed.
 
     Raises
     ------
     RunError : as in `read_config`.
     """
     config = read_config(run_folder(folder))
-    settings = {name: getattr(config.settings, name) for name in STARTING_SETTINGS}
-    return settings | {"frequencies_hz": config.inputs.frequencies_hz}
+    settings = plain_settings(config.settings)
+    return {
+        "input": settings["input"] | {"frequencies_hz": list(config.inputs.frequencies_hz)},
+        "network": settings["network"],
+        "target": settings["target"],
+        "optimiser": {"algorithm": settings["optimiser"]["algorithm"]},
+    }
 
 
 def changed_setting(before: RunConfig, now: RunConfig) -> str | None:
     """The first difference that prevents resuming `before` as `now`, in words; None if there is none."""
-    may_change = _may_change(before.settings)
-    for field in fields(TrainSettings):
-        old, new = getattr(before.settings, field.name), getattr(now.settings, field.name)
-        if field.name not in may_change and old != new:
-            why = " (the learning rate's schedule ends with it)" if field.name == "max_epochs" else ""
-            return f"{field.name} was {old} and is now {new}{why}"
+    may_change, old, new = (
+        _may_change(before.settings),
+        *map(flat_settings, (before.settings, now.settings)),
+    )
+    for key in {**old, **new}:
+        if key not in may_change and old.get(key) != new.get(key):
+            why = " (the learning rate's schedule ends with it)" if key == "run.max_epochs" else ""
+            return f"{key} was {old.get(key)} and is now {new.get(key)}{why}"
     if before.data_sha256 != now.data_sha256:
         return "the dataset is not the one that the run began with"
     return None
 
 
 def _may_change(settings: TrainSettings) -> frozenset[str]:
-    """Names of the settings that may be others when the run is resumed."""
-    if settings.schedule == "constant":
+    """Keys of the settings that may be others when the run is resumed."""
+    if settings.optimiser.schedule == "constant":
         return MAY_CHANGE_ON_RESUME
-    return MAY_CHANGE_ON_RESUME - {"max_epochs"}  # the learning rate of every epoch depends on it
+    return MAY_CHANGE_ON_RESUME - {"run.max_epochs"}  # the learning rate of every epoch depends on it

@@ -6,7 +6,6 @@ several entries, the library would write them in random order.)
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -17,14 +16,13 @@ from torch import Tensor
 
 from model.network.unet import UNet, least_weights
 from model.run_folder.checksums import label_text, labelled, read_at_most, read_label
-from model.run_folder.run_config import LABELLED_SINCE, RunConfig, RunError
+from model.run_folder.run_config import RunConfig, RunError
 from storage import whole_file
 
 WEIGHTS_FILE: Final = "best.safetensors"
 _METADATA: Final = "night"
 _MOST_HEADER: Final = 2**20  # bytes; the header of the paper's network has 8 kB
 _AGAIN: Final = "write it again from the checkpoint with night-train --resume, or train again"
-_log = logging.getLogger(__name__)
 
 
 def save_weights(folder: Path, weights: Mapping[str, Tensor], run_id: str, *, half: bool = False) -> None:
@@ -86,26 +84,21 @@ def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
 
 def least_bytes(config: RunConfig) -> int:
     """What the weights of a run take at least, as 16 bit floats."""
-    settings = config.settings
-    return 2 * least_weights(config.inputs.channel_count, settings.width, settings.levels, settings.block)
+    sizes = config.settings.network
+    return 2 * least_weights(config.inputs.channel_count, sizes.width, sizes.levels, sizes.block)
 
 
 def refuse_other_label(content: bytes, file: Path, config: RunConfig, again: str) -> None:
     """Refuse a file whose checksum is wrong, or that belongs to another run than `config`.
-
-    Files of schema 2 have no label. They are taken as they are, with a warning.
 
     Parameters
     ----------
     again : what to do, for the message.
     """
     label = read_label(content)
-    if label is None and config.schema_version < LABELLED_SINCE:
-        _log.warning("%s has no checksum, because an earlier version wrote it: damage would be unseen", file)
-        return
     if label is None or not label.is_right:
         raise RunError(f"{file} is damaged ({'no' if label is None else 'wrong'} checksum): {again}")
-    if config.run_id not in (None, label.run_id):
+    if config.run_id != label.run_id:
         raise RunError(f"{file} belongs to another run than run.json beside it: {again}")
 
 

@@ -84,7 +84,7 @@ def load_checkpoint(folder: Path, config: RunConfig, weights_bytes: int) -> dict
     refuse_other_label(content, file, config, _AGAIN)
     state = _unpacked(content, file)
     schema = state.get("schema_version") if isinstance(state, dict) else None
-    if not isinstance(schema, int) or schema not in (config.schema_version, RUN_SCHEMA):
+    if type(schema) is not int or schema != RUN_SCHEMA:
         raise RunError(f"{file} is no checkpoint of schema version {RUN_SCHEMA}: {_AGAIN}")
     missing = KEYS - state.keys()
     if missing:

@@ -62,7 +62,7 @@ def checked_history(value: Any) -> list[EpochRecord]:
         raise ContentsError("history must be a list")
     history = [EpochRecord(**record) for record in value]
     for epoch, record in enumerate(history, start=1):
-        if not record.is_possible or record.epoch != epoch or record.columns != history[0].columns:
+        if not record.is_possible or record.epoch != epoch:
             raise ContentsError(f"history: epoch {epoch} has an impossible record")
     return history
 

@@ -20,7 +20,6 @@ from model.network.unet import UNet, average_with_flip
 from model.run_folder.history import EpochRecord
 from model.training.interruption import Interruption
 from model.training.loss_watch import LossError, LossWatch
-from model.training.optimisation import learning_rate
 from model.training.refusals import TrainingError
 from model.training.state import TrainingState, epoch_seed
 from model.training.uncertainty_fit import UncertaintyFit
@@ -37,10 +36,10 @@ def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: In
     TrainingError : a loss is not finite, or too large.
     """
     state.step.network.train()
-    feed, size = state.feeds["train"], state.settings.batch_size
+    feed, size = state.feeds["train"], state.settings.optimiser.batch_size
     # Order and augmentation depend only on seed and epoch, so they are the same after a resume.
     epoch = len(state.history) + 1
-    generator = torch.Generator().manual_seed(epoch_seed(state.settings.seed, epoch))
+    generator = torch.Generator().manual_seed(epoch_seed(state.settings.run.seed, epoch))
     windows = feed.shuffled_windows(generator)
     blocks = feed.in_windows(windows, size, skip=state.batches_done)
     draws = _draws(state, [row for window in windows for row in window], generator)
@@ -83,7 +82,7 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
     sums = torch.zeros(5, dtype=torch.float64, device=state.processes.device)
     readout = state.config.readout
     fit = UncertaintyFit(readout, state.processes.device) if isinstance(readout, MaskAndDepth) else None
-    for block in feed.in_order(state.settings.batch_size):
+    for block in feed.in_order(state.settings.optimiser.batch_size):
         part = block.take([block.rows[place] for place in state.processes.share(range(len(block)))])
         batch = state.maker.batch(part)
         output = state.step.output(batch, network)
@@ -102,14 +101,12 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
     ).tolist()
     record = EpochRecord(
         epoch=len(state.history) + 1,
-        learning_rate=learning_rate(
-            state.settings, state.optimisation.steps - 1, state.optimisation.steps_per_epoch
-        ),
+        learning_rate=state.optimisation.learning_rate(state.optimisation.steps - 1),
         train_loss=train_loss,
         validation_loss=loss,
         validation_mae_cm=100 * depth_mae_m,
         validation_miou=miou,
-        validation_uncertainty=uncertainty if state.tells_uncertainty else None,
+        validation_uncertainty=uncertainty,
     )
     _refuse_bad_validation(record, bad_outputs > 0)
     if fit:
@@ -119,7 +116,7 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
 
 def _predicted(state: TrainingState, batch: Batch, output: Tensor, network: UNet) -> Tensor:
     """(N, C, H, W) `output` as a prediction has it: averaged with that of the flipped images if so set."""
-    if not state.settings.average_flip:
+    if not state.settings.run.average_flip:
         return output
 
     def of_channels(channels: Tensor) -> Tensor:
@@ -132,7 +129,7 @@ def save_if_due(
     state: TrainingState, out: Path, interruption: Interruption, watch: LossWatch | None = None
 ) -> None:
     """Write a checkpoint if its time has come or a signal asked to stop; in the second case, stop."""
-    due = time.monotonic() - state.saved_at >= 60 * state.settings.checkpoint_minutes
+    due = time.monotonic() - state.saved_at >= 60 * state.settings.run.checkpoint_minutes
     if not state.processes.any(due or interruption.signal is not None):
         return
     if watch:
@@ -150,7 +147,7 @@ def _check_every(state: TrainingState) -> int:
 
     The checkpoints of ``checkpoint_minutes = 0`` come after every batch.
     """
-    return 1 if state.processes.device.type == "cpu" or not state.settings.checkpoint_minutes else 16
+    return 1 if state.processes.device.type == "cpu" or not state.settings.run.checkpoint_minutes else 16
 
 
 def _watch(watch: LossWatch, loss: Tensor | None = None, rows: Sequence[int] = ()) -> None:

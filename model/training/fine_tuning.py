@@ -16,7 +16,8 @@ from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import WEIGHTS_FILE, trained_network
-from model.settings import NETWORK_SETTINGS, TrainSettings
+from model.settings.target import MaskAndDepthTarget
+from model.settings.train_settings import TrainSettings, flat_settings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.finer_pixels import with_finer_pixels
 from scenegen import Dataset
@@ -75,10 +76,10 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
         weights = {
             name: each for name, each in network.state_dict().items() if not name.startswith("images.")
         }
-        if settings.uncertainty and not config.settings.uncertainty:
+        if settings.predicts_uncertainty and not config.settings.predicts_uncertainty:
             weights |= _new_head(config, settings)
-        block = config.settings.block
-        weights = with_finer_pixels(weights, block, settings.block // block)
+        block = config.settings.network.block
+        weights = with_finer_pixels(weights, block, settings.network.block // block)
     name = run.resolve().name[:255]
     origin = StartingWeights(run=name, run_id=config.run_id, sha256=hashlib.sha256(content).hexdigest())
     return Start(config, weights, origin)
@@ -86,26 +87,29 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
 
 def _new_head(config: RunConfig, settings: TrainSettings) -> dict[str, Tensor]:
     """Initial weights of the head of the uncertainty, for a network that has none."""
-    wanted = replace(config, settings=replace(config.settings, uncertainty=True))
-    network = wanted.network(torch.Generator().manual_seed(settings.seed))
+    wanted = replace(config, settings=replace(config.settings, target=MaskAndDepthTarget(uncertainty=True)))
+    network = wanted.network(torch.Generator().manual_seed(settings.run.seed))
     return {name: weight for name, weight in network.state_dict().items() if "uncertainty" in name}
 
 
 def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path) -> None:
     """`RunError` if the settings contradict the network or the input of a run."""
-    for name in NETWORK_SETTINGS:
-        theirs, ours = getattr(config.settings, name), getattr(settings, name)
-        if name == "frequencies_hz":
+    of_run, wanted = flat_settings(config.settings), flat_settings(settings)
+    for key in {**of_run, **wanted}:
+        if not (key.startswith(("input.", "network.")) or key in ("target.kind", "target.uncertainty")):
+            continue
+        theirs, ours = of_run.get(key), wanted.get(key)
+        if key == "input.frequencies_hz":
             theirs = config.inputs.frequencies_hz
             ours = theirs if ours is None else ours
-        if name == "uncertainty" and ours:
+        if key == "target.uncertainty" and ours:
             continue  # its head may be new: it changes nothing else
-        if name == "block" and ours and ours % theirs == 0:
+        if key == "network.block" and ours and ours % theirs == 0:
             continue  # `with_finer_pixels` makes the weights fit
         if ours != theirs:
-            multiple = f", give a multiple of {theirs}" if name == "block" else ""
+            multiple = f", give a multiple of {theirs}" if key == "network.block" else ""
             raise RunError(
-                f"{name} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "
+                f"{key} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "
                 f"leave the setting out{multiple}, or train from the start"
             )
 

@@ -67,16 +67,16 @@ class TrainingLog:
                 stream.write(self._waiting.getvalue())
         self._waiting = io.BytesIO()
 
-    def scalars(self, record: Mapping[str, float | None], optimisation: Optimisation, samples: int) -> None:
+    def scalars(self, record: Mapping[str, float], optimisation: Optimisation, samples: int) -> None:
         """Log an epoch's record, the norm of its last gradient, and its samples per second with validation.
 
         Parameters
         ----------
         samples : number of training samples of an epoch.
         """
-        epoch, now = int(record["epoch"] or 0), time.perf_counter()
+        epoch, now = int(record["epoch"]), time.perf_counter()
         for name, value in record.items():
-            if name != "epoch" and value is not None:
+            if name != "epoch":
                 self._add(epoch, summary=scalar(name, value))
         if optimisation.settings.clip_norm > 0:
             self._add(epoch, summary=scalar("gradient_norm", float(optimisation.gradient_norm)))

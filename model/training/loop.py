@@ -13,15 +13,14 @@ import torch
 
 from itof.wall.wall_view import WallPlaceError
 from model.data.channel_scaling import fit_input_spec, largest_shift_m
-from model.data.class_balance import BalanceError, background_per_object
 from model.data.corner import many_corners_problem, wall_view
-from model.data.object_depth import object_depth_m
+from model.data.object_pixels import BalanceError, background_per_object, object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
+from model.run_folder.checksums import ZEROS
 from model.run_folder.history import HISTORY_FILE, EpochRecord
 from model.run_folder.run_config import (
     CONFIG_FILE,
-    RUN_SCHEMA,
     RunConfig,
     RunError,
     changed_setting,
@@ -29,7 +28,7 @@ from model.run_folder.run_config import (
     run_id_of,
     write_config,
 )
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint, refuse_short_checkpoint
 from model.training.corner_images import corner_images
 from model.training.epoch import save_if_due, train_epoch, validate
@@ -41,16 +40,13 @@ from model.training.processes import Processes, joined_processes
 from model.training.refusals import (
     RESUME,
     TrainingError,
-    naming_compiler,
     naming_disk,
     naming_memory,
     refuse_images_of_many_corners,
     refuse_missing_scenes,
     refuse_other_view,
     refuse_start,
-    refuse_untrained_layers,
 )
-from model.training.revival import revived
 from model.training.state import TrainingState, rows_of
 from processes.progress import showing_progress
 from scenegen import Dataset
@@ -97,14 +93,14 @@ def train(
     settings : settings of the training.
     resume : continue after the last batch of the checkpoint in `out`. The weights become the same as without
         the interruption: to the bit on the CPU, with the same number of threads and processes. Only
-        `max_epochs` (if the learning rate does not depend on it), `device`, `progress`, `compile` and
+        `max_epochs` (if the learning rate does not depend on it), `device`, `progress` and
         `checkpoint_minutes` may differ from the settings of the run.
     start_from : run folder of a trained network, whose best weights the training starts from (fine-tuning).
         `settings` must have its network and input (`fine_tuning_settings`); the constants of its input
         channels are kept, except the largest shift of the wall. A resumed run no longer needs this folder.
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
-        (`model.data.order`). A resumed run keeps the windows of its start.
+        (`model.data.feed`). A resumed run keeps the windows of its start.
 
     Raises
     ------
@@ -115,13 +111,12 @@ def train(
     DeviceError : the device does not exist.
     ShardError, ImageFileError : renders are missing or unusable.
     """
-    with joined_processes(settings.device) as processes:
+    with joined_processes(settings.run.device) as processes:
         out = Path(out)
         check = functools.partial(refuse_start, dataset, out, resume)
         check()  # before the lock, which is a file in `out`
         if resume and start_from is not None:
             raise RunError(f"{out} goes on from its own weights: leave out resume or start_from")
-        refuse_untrained_layers(settings, is_trained=resume or start_from is not None)
         refuse_images_of_many_corners(dataset, settings)
         start = read_start(Path(start_from), settings) if start_from is not None else None
         with only_training(out, processes, check):
@@ -145,10 +140,10 @@ def _train(
             for name in (CHECKPOINT_FILE, HISTORY_FILE):
                 (out / name).unlink(missing_ok=True)
     with processes.first_one_first():
-        shown = settings.progress and processes.is_first
-        shards = open_shards(dataset, ground_truth=settings.ground_truth, progress=shown)
+        shown = settings.run.progress and processes.is_first
+        shards = open_shards(dataset, ground_truth=settings.run.ground_truth, progress=shown)
     settings = settings.for_images(shards.manifest.width)
-    refuse_missing_scenes(shards, dataset, settings.train_scenes)
+    refuse_missing_scenes(shards, dataset, settings.run.train_scenes)
     refuse_other_view(shards, dataset, settings)
     if shown and not before and not start:
         _log.info("scaling the input channels by the training scenes")
@@ -156,14 +151,12 @@ def _train(
     change = changed_setting(before, config) if before else None
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
-    with naming_memory(config), naming_compiler():
+    with naming_memory(config):
         goes_on = before is not None and (out / CHECKPOINT_FILE).is_file()
         weights = start.weights if start else {}
         if not goes_on:
             rows = rows_of(shards, "train", settings)
             weights = weights | corner_images(config, dataset, shards, rows)
-            if settings.revive:
-                weights = revived(weights, config, shards, rows)
         else:
             refuse_short_checkpoint(out, config)  # before the network is made, which may take all memory
         state = TrainingState(config, shards, processes, memory_bytes, weights)
@@ -172,8 +165,6 @@ def _train(
             state.restore(checkpoint, out / CHECKPOINT_FILE)
         elif before:
             refuse_lost_checkpoint(before, out)
-        if checkpoint and before and before.schema_version < RUN_SCHEMA:
-            state.save(out)  # before run.json: beside one of schema 2, files of both versions are accepted
         if start:
             # Before run.json: --resume never needs the other run. Until then, the folder counts as free.
             state.save(out, _AGAIN)
@@ -192,25 +183,25 @@ def _configure(
     dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None, start: Start | None
 ) -> RunConfig:
     """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
-    manifest, rows = shards.manifest, rows_of(shards, "train", settings)
+    manifest, rows, chosen = shards.manifest, rows_of(shards, "train", settings), settings.input
     try:
         if before:
             inputs = before.inputs
         elif start:
             inputs = start.inputs(dataset, manifest.frequencies_hz)
             if inputs.shows_wall:
-                if settings.progress:
+                if settings.run.progress:
                     _log.info("fitting the wall of the training scenes")
                 shift_m = largest_shift_m(inputs, shards, rows, wall_view(dataset))
                 inputs = replace(inputs, largest_shift_m=shift_m)
         else:
             inputs = fit_input_spec(
-                *(settings.channels, shards, rows, settings.frequencies_hz, settings.amplitude_divisor),
-                reference=settings.reference,
+                *(chosen.channels.kind, shards, rows, chosen.frequencies_hz, chosen.amplitude_divisor),
+                reference=chosen.reference,
                 view=wall_view(dataset),
             )
         ratio = before.background_per_object if before else None
-        if settings.balance == "dataset" and ratio is None:
+        if settings.balances_dataset and ratio is None:
             ratio = background_per_object(shards, rows)
         depth_m = before.object_depth_m if before else start.config.object_depth_m if start else None
         if settings.predicts_probability and depth_m is None:
@@ -231,23 +222,26 @@ def _configure(
         preset_sha256=manifest.preset_sha256,
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
-        background_per_object=ratio if settings.balance == "dataset" else None,
+        run_id=ZEROS,
+        background_per_object=ratio if settings.balances_dataset else None,
         object_depth_m=depth_m if settings.predicts_probability else None,
         started_from=before.started_from if before else start.origin if start else None,
         fields_of_view_deg=(min(views_deg), max(views_deg)) if views_deg else None,
     )
-    return replace(config, run_id=(before.run_id if before else None) or run_id_of(config))
+    return replace(config, run_id=before.run_id if before else run_id_of(config))
 
 
 def _run(state: TrainingState, out: Path) -> TrainingResult:
     """Train until the last epoch or the end of patience, with a checkpoint from time to time."""
-    max_epochs, scenes = state.settings.max_epochs, len(state.feeds["train"].rows)
+    max_epochs, scenes = state.settings.run.max_epochs, len(state.feeds["train"].rows)
     done, is_first = len(state.history), state.processes.is_first
     if done >= max_epochs or state.out_of_patience():
         _log.info("%s is finished already, after %d epochs: nothing to do", out, done)
         return _result(state)
-    before = min(done * scenes + state.batches_done * state.settings.batch_size, max_epochs * scenes)
-    if state.settings.progress and is_first:
+    before = min(
+        done * scenes + state.batches_done * state.settings.optimiser.batch_size, max_epochs * scenes
+    )
+    if state.settings.run.progress and is_first:
         _log.info("preparing %d scenes", sum(len(feed.distinct_rows) for feed in state.feeds.values()))
     for feed in state.feeds.values():
         feed.hold()  # before the first epoch, whose speed would be that of reading
@@ -255,7 +249,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
         max_epochs * scenes,
         "sample" if state.enlarged else "scene",
         initial=before,
-        show=state.settings.progress and is_first,
+        show=state.settings.run.progress and is_first,
     )
     log = TrainingLog(out if is_first else None, done)
     with Interruption() as interruption, shown as bar:
@@ -271,7 +265,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
             save_if_due(state, out, interruption)
         state.save(out)
     if state.out_of_patience():
-        _log.info("stopped: the validation loss did not improve for %d epochs", state.settings.patience)
+        _log.info("stopped: the validation loss did not improve for %d epochs", state.settings.run.patience)
     return _result(state)
 
 

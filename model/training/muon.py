@@ -22,6 +22,9 @@ class Muon(torch.optim.Optimizer):
     scaled by 0.2 times the root of the larger of n and m, so that its weights change by 0.2 learning rates
     (root mean square), as with Adam.
 
+    `torch.optim.Muon` refuses the weights of convolutions, and computes in bfloat16 only, which takes several
+    times as long as float32 on a processor without such instructions.
+
     Parameters
     ----------
     weights : at least one, each with two or more axes.

@@ -14,7 +14,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from model.device import number_type
 from model.network.unet import UNet
-from model.settings import TrainSettings
+from model.settings.optimiser import OptimiserSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint_contents import (
     ContentsError,
     checked_adam,
@@ -27,7 +28,7 @@ from model.training.checkpoint_contents import (
 from model.training.muon import Muon
 
 
-def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> float:
+def learning_rate(settings: OptimiserSettings, step: int, steps_per_epoch: int, max_epochs: int) -> float:
     """Learning rate of a step; the first step is 0.
 
     It grows linearly during the warm-up, whose last step has the full rate. Then it is constant, or falls as
@@ -39,9 +40,9 @@ def learning_rate(settings: TrainSettings, step: int, steps_per_epoch: int) -> f
     rate = settings.learning_rate
     if warm_up:
         rate *= min(1.0, (step + 1) / (warm_up * steps_per_epoch))
-    if settings.schedule == "constant" or settings.max_epochs <= warm_up:
+    if settings.schedule == "constant" or max_epochs <= warm_up:
         return rate
-    done = (step / steps_per_epoch - warm_up) / (settings.max_epochs - warm_up)
+    done = (step / steps_per_epoch - warm_up) / (max_epochs - warm_up)
     done = min(1.0, max(0.0, done))
     return rate * (1 + cos(pi * done)) / 2
 
@@ -76,23 +77,24 @@ class Optimisation:
     def __init__(
         self, network: UNet, settings: TrainSettings, steps_per_epoch: int, device: torch.device
     ) -> None:
-        self.network, self.settings, self.steps_per_epoch = network, settings, steps_per_epoch
-        rate, numbers = settings.learning_rate, number_type(settings.precision, device)
+        self.network, self.steps_per_epoch = network, steps_per_epoch
+        self.settings, self._max_epochs = settings.optimiser, settings.run.max_epochs
+        rate, numbers = self.settings.learning_rate, number_type(settings.run.precision, device)
         self._by_adam, self._by_muon = self._shared_out()
         self.adam = torch.optim.Adam(self._by_adam, lr=rate, fused=True)
         muon_numbers = torch.bfloat16 if numbers == torch.bfloat16 else torch.float32
         self.muon = Muon(self._by_muon, rate, muon_numbers) if self._by_muon else None
         # Half floats round gradients below 6e-8 to 0, so the loss is scaled up first.
         self.scaler = torch.amp.GradScaler(device.type, enabled=numbers == torch.float16)
-        decay = settings.ema_decay
+        decay = self.settings.ema_decay
         self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(decay)) if decay else None
         self.steps = 0
         self.gradient_norm = torch.zeros(())
 
     def _shared_out(self) -> tuple[list[Tensor], list[Tensor]]:
-        """The weights of Adam and those of Muon, without the frozen ones."""
-        trained: list[Tensor] = [weight for weight in self.network.parameters() if weight.requires_grad]
-        has_muon = self.settings.optimiser == "muon"
+        """The weights of Adam and those of Muon."""
+        trained: list[Tensor] = list(self.network.parameters())
+        has_muon = self.settings.algorithm == "muon"
         inner = {id(weight) for weight in self.network.inner_weights} if has_muon else set()
         by_muon = [weight for weight in trained if id(weight) in inner]
         return [weight for weight in trained if id(weight) not in inner], by_muon
@@ -108,9 +110,13 @@ class Optimisation:
             return self.network
         return cast(UNet, self.average.module)
 
+    def learning_rate(self, step: int) -> float:
+        """Learning rate of a step; the first step is 0."""
+        return learning_rate(self.settings, step, self.steps_per_epoch, self._max_epochs)
+
     def step(self, loss: Tensor) -> None:
         """Update the weights to reduce `loss`."""
-        rate = learning_rate(self.settings, self.steps, self.steps_per_epoch)
+        rate = self.learning_rate(self.steps)
         for optimiser in self._optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = rate

@@ -14,7 +14,7 @@ from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from model.device import DeviceError, choose_device
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from storage import NightError
 
 # Gloo's threads release the tensors of the last sum a little after it is done, and need the interpreter for

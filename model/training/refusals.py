@@ -13,7 +13,7 @@ from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset
@@ -51,43 +51,22 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
             )
 
 
-def refuse_untrained_layers(settings: TrainSettings, *, is_trained: bool) -> None:
-    """`TrainingError` if layers are frozen, or units revived, that nothing has trained."""
-    if settings.revive and not is_trained:
-        raise TrainingError(
-            "revive renews units of a trained run, but this training begins with random weights: give a run "
-            "with --from, or leave revive out"
-        )
-    if settings.revive and settings.negative_slope:
-        raise TrainingError(
-            "revive renews dead units, and a network with negative_slope has none: leave it out"
-        )
-    if settings.revive and settings.freeze != "none":
-        raise TrainingError(
-            f"revive renews units also in layers that freeze {settings.freeze} keeps: leave one of them out"
-        )
-    if settings.freeze != "none" and not is_trained:
-        raise TrainingError(
-            f"freeze {settings.freeze} keeps layers of a trained run, but this training begins with random "
-            "weights: give a run with --from, or leave freeze out"
-        )
-
-
 def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> None:
     """`TrainingError` for images of the three bounces where they would be right for one scene only."""
-    if settings.bounce_images and not dataset.preset.is_one_corner:
+    if settings.input.bounce_images and not dataset.preset.is_one_corner:
         raise TrainingError(
             f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and bounce_images are "
-            "for one corner: set it to false (--no-bounce-images)"
+            "for one corner: take --channels residual+wall, or --set input.channels.bounce_images=false"
         )
 
 
 def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings) -> None:
     """`TrainingError` if the camera of the settings cannot measure the images of the dataset."""
-    if settings.sensor is not None:
+    camera = settings.augmentation.camera
+    if camera is not None:
         found = shards.manifest
-        frequencies_hz = settings.frequencies_hz or found.frequencies_hz
-        problem = view_problem(settings.sensor, dataset, found.width, found.height, frequencies_hz)
+        frequencies_hz = settings.input.frequencies_hz or found.frequencies_hz
+        problem = view_problem(camera.sensor, dataset, found.width, found.height, frequencies_hz)
         if problem:
             raise TrainingError(problem)
 
@@ -102,8 +81,8 @@ def refuse_missing_scenes(shards: Shards, dataset: Dataset, wanted: int | None) 
     count = len(shards.rows("train"))
     if wanted is not None and wanted > count:
         raise TrainingError(
-            f"train_scenes is {wanted}, but {dataset.root} has {count} training scenes: make more scenes, or "
-            "give a smaller number"
+            f"run.train_scenes is {wanted}, but {dataset.root} has {count} training scenes: make more "
+            "scenes, or give a smaller number"
         )
 
 
@@ -123,21 +102,6 @@ def _is_free(out: Path) -> bool:
 
 
 @contextmanager
-def naming_compiler() -> Iterator[None]:
-    """Turn the exceptions of `torch.compile` into a `TrainingError`."""
-    try:
-        yield
-    except RuntimeError as error:
-        # Importing the exceptions' module would take seconds.
-        if not type(error).__module__.startswith(("torch._dynamo", "torch._inductor")):
-            raise
-        reason = str(error).strip().splitlines()[0]
-        raise TrainingError(
-            f"the network cannot be compiled ({reason}): install a C++ compiler, or train with --no-compile"
-        ) from None
-
-
-@contextmanager
 def naming_memory(config: RunConfig) -> Iterator[None]:
     """Turn the out-of-memory exceptions of PyTorch and numpy into a `TrainingError`."""
     try:
@@ -145,7 +109,8 @@ def naming_memory(config: RunConfig) -> Iterator[None]:
             yield
     except MemoryError:
         raise TrainingError(
-            f"out of memory with batch size {config.settings.batch_size} and width {config.settings.width} "
+            f"out of memory with batch size {config.settings.optimiser.batch_size} and width "
+            f"{config.settings.network.width} "
             f"at {config.image_width}x{config.image_height} pixels: make the batch or the width smaller"
         ) from None
 

@@ -6,7 +6,7 @@ import functools
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +14,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from model.data.augmentation import Augmentation
 from model.data.batches import BatchMaker
-from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed, window_rows
-from model.data.fit_cache import FitCache
-from model.data.scene_walls import SceneWalls
+from model.data.scene_walls import FitCache, SceneWalls
 from model.data.shards import Shards
+from model.paper.augmentation import PaperAugmentation
+from model.paper.enlarged_set import EnlargedSet
 from model.run_folder.history import HISTORY_FILE, EpochRecord, compared_losses, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, save_checkpoint
 from model.training.checkpoint_contents import (
     checked_history,
@@ -35,7 +34,7 @@ from model.training.checkpoint_contents import (
 from model.training.optimisation import epochs_without_improvement
 from model.training.processes import Processes, processes_of_this_machine
 from model.training.refusals import GO_ON, TrainingError, naming_disk
-from model.training.step import TrainingStep
+from model.training.step import TrainingStep, augmentation_of
 from model.training.uncertainty_fit import UncertaintyFactors
 from scenegen import Split
 
@@ -72,18 +71,19 @@ class TrainingState:
         weights: Mapping[str, Tensor] | None = None,
     ) -> None:
         settings, device = config.settings, processes.device
+        camera = settings.augmentation.camera
         self.config, self.settings, self.shards, self.processes = config, settings, shards, processes
         self.run_id = config.run_id or run_id_of(config)
         frequencies_hz = shards.manifest.frequencies_hz
         wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
         self.maker = BatchMaker.for_shards(
-            *(config.inputs, frequencies_hz, wall, device, settings.sensor),
-            sensor_capture=settings.sensor_capture,
+            *(config.inputs, frequencies_hz, wall, device, camera.sensor if camera else None),
+            sensor_capture=camera is not None and camera.empty_corner,
             walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
         )
         self.enlarged = _enlarged(rows_of(shards, "train", settings), settings)
         self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
-        steps = -(-len(self.feeds["train"].rows) // settings.batch_size)
+        steps = -(-len(self.feeds["train"].rows) // settings.optimiser.batch_size)
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
         self.optimisation = self.step.optimisation
         self.history: list[EpochRecord] = []
@@ -126,17 +126,11 @@ class TrainingState:
         return self.history[losses.index(min(losses))]
 
     @property
-    def tells_uncertainty(self) -> bool:
-        """Whether records say what the uncertainty adds to a loss; not in runs of earlier versions."""
-        return all(record.validation_uncertainty is not None for record in self.history)
-
-    @property
     def compared_losses(self) -> list[float]:
         """Validation losses by which epochs are compared (`model.run_folder.history.compared_losses`)."""
         return compared_losses(
             [record.validation_loss for record in self.history],
             [record.validation_uncertainty for record in self.history],
-            of_uncertainty=self.settings.freeze == "all-but-uncertainty",
         )
 
     @property
@@ -146,8 +140,8 @@ class TrainingState:
 
     def out_of_patience(self) -> bool:
         """Whether the validation loss did not improve by more than `min_delta` for `patience` epochs."""
-        waited = epochs_without_improvement(self.compared_losses, self.settings.min_delta)
-        return bool(self.history) and waited >= self.settings.patience
+        waited = epochs_without_improvement(self.compared_losses, self.settings.run.min_delta)
+        return bool(self.history) and waited >= self.settings.run.patience
 
     def finish_epoch(self, record: EpochRecord) -> None:
         """Add an epoch to the history and start the next one."""
@@ -158,16 +152,10 @@ class TrainingState:
             network = self.optimisation.judged
             weights = network.state_dict()
             if self.settings.predicts_probability:
-                weights = self._factors.weights(network, weights)
+                weights = self.uncertainty.weights(network, weights)
             self.best_weights = {
                 name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in weights.items()
             }
-
-    @property
-    def _factors(self) -> UncertaintyFactors:
-        """Those on the kept weights; the mask keeps its own where only the uncertainty is trained."""
-        alone = self.settings.freeze == "all-but-uncertainty"
-        return replace(self.uncertainty, logit_factor=1.0) if alone else self.uncertainty
 
     def save(self, out: Path, then: str = GO_ON) -> None:
         """Write the best weights, the history and then the checkpoint that refers to them.
@@ -260,7 +248,7 @@ class TrainingState:
 def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:
     """Rows of a split that a training uses, in ascending order."""
     rows = list(shards.rows(split))
-    return rows[: settings.train_scenes] if split == "train" else rows
+    return rows[: settings.run.train_scenes] if split == "train" else rows
 
 
 def epoch_seed(seed: int, epoch: int) -> int:
@@ -273,7 +261,8 @@ def epoch_seed(seed: int, epoch: int) -> int:
 
 def _enlarged(rows: Sequence[int], settings: TrainSettings) -> EnlargedSet | None:
     """The samples of every epoch; None if images are changed anew in each."""
-    if settings.copies_per_change == 0:
+    augmentation, changes = augmentation_of(settings.augmentation), settings.augmentation.paper
+    if changes is None or changes.copies_per_change == 0 or not isinstance(augmentation, PaperAugmentation):
         return None
-    generator = torch.Generator().manual_seed(epoch_seed(settings.seed, 0))
-    return EnlargedSet.of(rows, Augmentation.of(settings), settings.copies_per_change, generator)
+    generator = torch.Generator().manual_seed(epoch_seed(settings.run.seed, 0))
+    return EnlargedSet.of(rows, augmentation, changes.copies_per_change, generator)

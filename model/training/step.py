@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Final, cast
 
 import torch
 from torch import Tensor
@@ -12,26 +13,41 @@ from model.data.augmentation import Augmentation, Draws
 from model.data.batches import Batch, BatchMaker
 from model.data.rows import RowBlock
 from model.device import number_type
-from model.network.loss import NightLoss
 from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
+from model.paper.augmentation import PaperAugmentation
+from model.paper.loss import NightLoss
 from model.run_folder.run_config import RunConfig
+from model.settings.augmentation import AugmentationSettings
+from model.settings.target import ComponentsTarget, MaskAndDepthTarget
 from model.training.optimisation import Optimisation
 from model.training.processes import Processes
+
+_ORDER: Final = torch.channels_last  # of memory; faster on most processors
 
 
 def loss_of_run(config: RunConfig) -> NightLoss | MaskAndDepthLoss:
     """The loss that the settings of a run choose."""
-    readout, settings = config.readout, config.settings
-    if isinstance(readout, MaskAndDepth):
-        return MaskAndDepthLoss(readout, settings.smooth_l1_beta)
+    readout, target = config.readout, config.settings.target
+    if isinstance(target, MaskAndDepthTarget):
+        return MaskAndDepthLoss(cast(MaskAndDepth, readout), target.smooth_l1_beta)
+    loss_on = target.loss_on if isinstance(target, ComponentsTarget) else "depth"
     return NightLoss(
-        *(readout, settings.loss, settings.loss_on, settings.alpha, settings.balance),
+        *(readout, target.loss, loss_on, target.alpha, target.balance),
         background_per_object=config.background_per_object,
     )
 
 
+def augmentation_of(settings: AugmentationSettings) -> Augmentation:
+    """The random changes that the settings of a run choose."""
+    ours = {field.name: getattr(settings, field.name) for field in fields(Augmentation)}
+    if settings.paper is None:
+        return Augmentation(**ours)
+    others = {field.name for field in fields(PaperAugmentation)} - ours.keys()
+    return PaperAugmentation(**ours, **{name: getattr(settings.paper, name) for name in others})
+
+
 class TrainingStep:
-    """Network, loss and optimiser of a run, in the run's number type and memory order.
+    """Network, loss and optimiser of a run, in the run's number type.
 
     Attributes
     ----------
@@ -55,17 +71,14 @@ class TrainingStep:
         weights: Mapping[str, Tensor] | None = None,
     ) -> None:
         settings, device = config.settings, processes.device
-        self.maker, self.augmentation = maker, Augmentation.of(settings)
-        self._device_type, self._number_type = device.type, number_type(settings.precision, device)
-        self._order = torch.channels_last if settings.channels_last else torch.contiguous_format
-        network = config.network(torch.Generator().manual_seed(settings.seed))
+        self.maker, self.augmentation = maker, augmentation_of(settings.augmentation)
+        self._device_type, self._number_type = device.type, number_type(settings.run.precision, device)
+        network = config.network(torch.Generator().manual_seed(settings.run.seed))
         if weights is not None:
             network.load_state_dict(network.state_dict() | dict(weights))
-        network.freeze(settings.freeze)
         network = network.to(device)
-        self.network = network.to(memory_format=self._order)  # type: ignore[call-overload]
-        parallel = processes.parallel(self.network)
-        self._trained = torch.compile(parallel) if settings.compile else parallel
+        self.network = network.to(memory_format=_ORDER)  # type: ignore[call-overload]
+        self._trained = processes.parallel(self.network)
         self.loss = loss_of_run(config)
         self.optimisation = Optimisation(self.network, settings, steps_per_epoch, device)
 
@@ -94,4 +107,4 @@ class TrainingStep:
     def output(self, batch: Batch, network: Callable[[Tensor], Tensor]) -> Tensor:
         """(N, C, H, W) float32 output of `network`; its convolutions use the run's number type."""
         with torch.autocast(self._device_type, self._number_type, enabled=self._number_type != torch.float32):
-            return network(batch.channels.contiguous(memory_format=self._order))
+            return network(batch.channels.contiguous(memory_format=_ORDER))

@@ -15,6 +15,7 @@ from render.farm.local_workers import local_cluster
 from render.farm.scheduler_address import CONNECT_S, check_address, check_answer
 from render.farm.submissions import Submissions
 from storage import PathLike
+from storage.extras import need
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -77,11 +78,11 @@ def check_cluster(scheduler: str | None, cluster_file: PathLike | None, workers:
     ------
     ClusterError : both are given, a number of workers is given for a running cluster, or the file cannot be
         used.
+    MissingPackageError : the extra ``cluster`` is not installed.
     """
+    need("cluster", ("cryptography", "dask_jobqueue", "distributed"), "night-render DATASET")
     if scheduler and cluster_file:
-        raise ClusterError(
-            "give either --scheduler or --cluster: the first joins a running cluster, the second starts one"
-        )
+        raise ClusterError("give either the address of a running cluster or a file that starts one")
     if scheduler and workers is not None:
         raise ClusterError(
             "--workers is for this machine or for --cluster: a running cluster has its own workers"

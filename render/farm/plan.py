@@ -91,7 +91,7 @@ class Plan:
         fitting = int(self.free_bytes / (_MARGIN * self.scene_bytes))
         if fitting > 0:
             proposals.append(f"{fitting} scenes fit")
-        advice = "; ".join([*proposals, "--ignore-space renders until the disk is full"])
+        advice = "; ".join([*proposals, "--accept small-disk renders until the disk is full"])
         return (
             f"{self.scenes} scenes need about {size(self.needed_bytes)}, and {size(self.free_bytes)} are "
             f"free on the disk of {self.dataset.root}: {advice}"

@@ -164,7 +164,7 @@ def _look(
     if other is not None:
         raise RenderError(
             f"scene {other} of {dataset.root} is rendered with other settings, and all scenes of a dataset "
-            "have the same: leave the options out to go on with the earlier settings, or give --replace"
+            "have the same: leave the options out to go on with the earlier settings, or give --again changed"
         )
     inventory = Inventory(dataset, settings)
     with showing_progress(len(scenes), "scene", "look", show=options.progress) as bar:
@@ -212,7 +212,7 @@ def _todo(dataset: Dataset, states: dict[str, State], options: RunOptions) -> li
         raise RenderError(
             f"{len(others)} scenes of {dataset.root} (first {others[0]}) are rendered with other settings, "
             "or were changed since: leave the options out to go on with the earlier settings, or give "
-            "--replace to render them again"
+            "--again changed to render them again"
         )
     wanted = {"missing", "damaged", "other"} | ({"failed"} if options.retry_failed else set())
     return [scene_id for scene_id, state in states.items() if state in wanted]

@@ -49,7 +49,7 @@ class RunResult:
         return lines
 
     def as_data(self, dataset: Dataset, settings: RenderSettings) -> dict[str, Any]:
-        """The result as plain data (docs/files.md, results as JSON)."""
+        """The result as plain data (docs/reference/files.md, results as JSON)."""
         return {
             "renders": str(dataset.renders),
             "rendered": self.rendered,
@@ -68,11 +68,11 @@ class RunResult:
         if self.failures:
             lines.append(
                 f"{len(self.failures)} scenes failed; logs are in {renders}/<id>/failure.log, and "
-                "night-render DATASET --retry-failed tries them again"
+                "night-render DATASET --again failed tries them again"
             )
         if self.skipped_failures:
             lines.append(
                 f"{self.skipped_failures} scenes failed earlier and were left out: night-render DATASET "
-                "--retry-failed tries them again, night-render status DATASET lists them"
+                "--again failed tries them again, night-render status DATASET lists them"
             )
         return lines

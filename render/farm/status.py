@@ -59,7 +59,7 @@ class Status:
         return 3600 * self.missing / self.scenes_per_hour if self.scenes_per_hour and self.missing else None
 
     def as_data(self) -> dict[str, Any]:
-        """The status as plain data (docs/files.md, results as JSON)."""
+        """The status as plain data (docs/reference/files.md, results as JSON)."""
         return {
             "scenes": sum(self.counts.values()),
             "done": self.counts["done"],

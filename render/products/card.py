@@ -1,4 +1,7 @@
-"""The dataset card: a README.md with the contents of a dataset, how it was made, and how to read it."""
+"""The dataset card: a README.md with the contents of a dataset, how it was made, and how to read it.
+
+It begins with the YAML header that data hubs read. `render.products.croissant` writes the same as data.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,10 @@ from storage.byte_size import size
 
 CARD_FILE = "README.md"
 CONTACT_SHEET, DISTRIBUTIONS = "preview/contact_sheet.png", "preview/distributions.png"
+_HUB_LICENCES = frozenset(
+    {"apache-2.0", "cc-by-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-sa-4.0", "cc0-1.0", "mit", "odc-by"}
+)  # by the names that hubs give them
+_SIZES = ((1000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _MARK = re.compile(r"<!-- night-gen preview writes this file; licence: (?P<licence>.*) -->")
 
 
@@ -63,12 +70,11 @@ def checked_licence(licence: str) -> str:
 def dataset_card(dataset: Dataset, found: Distributions, licence: str | None) -> str:
     """Text of the card, in Markdown. It has no information about the machine that makes it."""
     name = dataset.root.resolve().name
-    # An HTML comment ends at the first "--", so JSON escapes replace these characters.
-    kept = json.dumps(licence).replace("--", "\\u002d\\u002d").replace(">", "\\u003e")
     parts = [
+        _header(name, len(dataset.ids()), licence),
         f"# {name}",
-        f"<!-- night-gen preview writes this file; licence: {kept} -->",
-        _about(dataset, found),
+        f"<!-- night-gen preview writes this file; licence: {_escaped(licence)} -->",
+        about(dataset, found),
         f"![Scenes from outside, as measured, and in ground truth]({CONTACT_SHEET})",
         f"## Scenes\n\n{_class_table(found)}",
         f"![What the scenes are drawn from]({DISTRIBUTIONS})",
@@ -76,12 +82,34 @@ def dataset_card(dataset: Dataset, found: Distributions, licence: str | None) ->
         f"## How it was made\n\n{_making(dataset)}",
         f"## How to read it\n\n{_reading(dataset, found)}",
         f"## Licence\n\n{_licence_text(licence)}",
-        f"## Citation\n\n{_CITATION}",
+        f"## Citation\n\nThe scenes follow\n\n> {CITATION}",
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _about(dataset: Dataset, found: Distributions) -> str:
+def _escaped(text: str | None) -> str:
+    """A text as JSON in an HTML comment, which ends at the first "--": escapes replace these characters."""
+    return json.dumps(text).replace("--", "\\u002d\\u002d").replace(">", "\\u003e")
+
+
+def _header(name: str, count: int, licence: str | None) -> str:
+    """The YAML header; a text in the quotes of JSON is YAML, too."""
+    lines = [f"pretty_name: {_escaped(name)}"]
+    known = (licence or "").lower().replace(" ", "-")
+    if known in _HUB_LICENCES:
+        lines.append(f"license: {known}")
+    elif licence is not None:
+        lines += ["license: other", f"license_name: {_escaped(licence)}"]
+    lines += [
+        "task_categories: [depth-estimation]",
+        "tags: [non-line-of-sight, indirect-time-of-flight, openexr]",
+        f"size_categories: [{next((words for most, words in _SIZES if count < most), 'n>1M')}]",
+    ]
+    return "\n".join(["---", *lines, "---"])
+
+
+def about(dataset: Dataset, found: Distributions) -> str:
+    """What the dataset is, in three sentences."""
     rendered = len(found.object_pixels)
     if dataset.is_measured:
         return (
@@ -223,10 +251,10 @@ def _licence_text(licence: str | None) -> str:
     return 'No licence has been chosen yet. Set one with `night-gen preview DATASET --licence "CC BY 4.0"`.'
 
 
-_CITATION = """The scenes follow
-
-> M. Caligiuri, A. Simonetto, P. Zanuttigh: *NIGHT - Non-Line-of-Sight Imaging from Indirect Time of Flight
-> Data*. European Conference on Computer Vision Workshops (ECCV-W), 2024. arXiv 2403.19376."""
+CITATION = (
+    "M. Caligiuri, A. Simonetto, P. Zanuttigh: *NIGHT - Non-Line-of-Sight Imaging from Indirect Time of "
+    "Flight Data*. European Conference on Computer Vision Workshops (ECCV-W), 2024. arXiv 2403.19376."
+)
 
 
 def _differences(preset: Preset) -> Iterator[tuple[str, str]]:

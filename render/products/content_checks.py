@@ -36,7 +36,7 @@ from scenegen.render_folder import difference
 from storage import OutsideError, inside
 
 # Phasors of bins may differ from exact ones by this share of the hidden part, because the two sum over
-# different nodes in the pixels, and bins over merged arrivals. It is twice the 1 % of docs/rendering.md.
+# different nodes in the pixels, and bins over merged arrivals. Twice the 1 % of docs/science/renderer.md.
 QUADRATURE_SHARE = 0.02
 _STEADY_HZ = 1.0  # nothing turns: the phasor is the energy
 # Eight roundings of float32, relative to the largest value. This is 0.02 % of a hidden part of 0.2 %.

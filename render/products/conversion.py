@@ -79,7 +79,7 @@ def convert_to_itof(
     The file is like ``itof.exr``, with three differences. It has no direct and hidden parts, because they
     share the bins. It has no ``night.hidden_error``, which is for the rendered frequencies. The attribute
     ``night.phasors_from`` says that the phasors are sums over bins. Bins change them by at most 1 % of a
-    faint hidden part (docs/rendering.md); in files of earlier versions by at most 5 %.
+    faint hidden part (docs/science/renderer.md); in files of earlier versions by at most 5 %.
 
     Parameters
     ----------

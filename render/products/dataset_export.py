@@ -1,4 +1,4 @@
-"""Export of a rendered dataset as one HDF5 file or one Zarr folder, which others read (docs/files.md)."""
+"""Export of a rendered dataset as one HDF5 file or Zarr folder, for others (docs/reference/files.md)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from render.products.conversion import ExportError, exported_file, exported_fold
 from render.products.export_format import FORMAT, FORMAT_VERSION
 from render.products.export_rows import Rows, new_rows
 from render.products.export_scenes import RefusedSceneError, SceneSource
-from render.products.zarr_copy import copy_to_zarr, digest_of_folder, refuse_without_zarr
+from render.products.zarr_copy import copy_to_zarr, digest_of_folder
 from scenegen import Dataset
 from storage import PathLike, sha256_of
 from storage.byte_size import size
+from storage.extras import need
 
 _ZARR = ".zarr"
 _ENDINGS = (".h5", ".hdf5", _ZARR)
@@ -46,7 +47,7 @@ class Export:
     arrays: dict[str, tuple[int, ...]]
 
     def as_data(self) -> dict[str, Any]:
-        """The result as plain data (docs/files.md, results as JSON)."""
+        """The result as plain data (docs/reference/files.md, results as JSON)."""
         return {**asdict(self), "file": str(self.file)}
 
     def sentences(self) -> list[str]:
@@ -68,7 +69,7 @@ def export_dataset(
 ) -> Export:
     """Write phasors, ground truth, parameters, splits and provenance of all scenes into one new file.
 
-    docs/files.md describes the file. Every rendered file is compared with its record before it is read. One
+    docs/reference/files.md describes it. Rendered files are compared with their records before reading. One
     scene is in memory at a time. The same dataset gives the same bytes with the same versions of NIGHT, h5py
     and HDF5, or zarr and numcodecs.
 
@@ -83,7 +84,8 @@ def export_dataset(
     ------
     ExportError : without `partial`, a scene is not rendered, given up, bad, damaged, or rendered with other
         settings than the dataset. No scene can be exported. The file exists, has another ending, or cannot
-        be written. A folder is wanted, and zarr is not installed.
+        be written.
+    MissingPackageError : a Zarr folder is wanted, and the extra ``export`` is not installed.
     """
     file = Path(out)
     _check_name(file)
@@ -130,7 +132,7 @@ def _hdf5_rows(file: Path, most: int) -> Iterator[Rows]:
 @contextmanager
 def _zarr_rows(folder: Path, most: int) -> Iterator[Rows]:
     """Rows of an HDF5 file that becomes the new Zarr folder `folder`."""
-    refuse_without_zarr(folder)
+    need("export", ("zarr",), "a Zarr folder")
     with exported_folder(folder) as unfinished:
         file = unfinished.with_suffix(".h5")  # in a folder that is removed at the end
         with new_rows(file, most) as rows:

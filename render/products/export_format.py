@@ -1,7 +1,7 @@
 """The arrays of an exported dataset: their names, number types, axes, units and meanings.
 
 A row of every array is one scene. Axes: N scenes, H image rows from the top, W columns from the left, F
-modulation frequencies. docs/files.md describes the file.
+modulation frequencies. docs/reference/files.md describes the file.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ class SceneSource:
             problem = f"its render was found bad ({'; '.join(bad.problems)}): {advice}"
             raise RefusedSceneError(scene_id, "found bad", problem)
         if record is None and failure is not None:
-            problem = f"it could not be rendered ({failure.reason}): run night-render {root} --retry-failed"
+            problem = f"it could not be rendered ({failure.reason}): run night-render {root} --again failed"
             raise RefusedSceneError(scene_id, "given up", problem)
         if record is None and (self._is_rendered or not (folder / MEASUREMENT_FILE).is_file()):
             raise RefusedSceneError(scene_id, "not rendered", f"it is not rendered: run night-render {root}")
@@ -114,7 +114,8 @@ class SceneSource:
             raise RefusedSceneError(
                 scene_id,
                 "other settings",
-                f"it is rendered with other settings than the dataset: run night-render {root} --replace",
+                f"it is rendered with other settings than the dataset: run night-render {root} "
+                "--again changed",
             )
         return record
 

@@ -17,6 +17,7 @@ from render.products.conversion import ExportError, exported_file
 from render.products.movie_encoding import encode_gif, encode_mp4
 from render.products.movie_pictures import DECADES, Frames, Span, draw_pictures
 from storage import PathLike
+from storage.extras import need
 
 _MOST_BYTES = 256 * 2**20  # of all frames as float32
 _MOST_PIXELS_WIDE, _NARROWEST = 1280, 240  # the label is 230 pixels wide
@@ -72,10 +73,13 @@ def write_movie(
     ExportError : `out` has another ending or cannot be written, or the transient has no light, NaN or
         infinity.
     ImageFileError : the transient is missing or damaged.
+    MissingPackageError : `out` is an MP4 file, and the extra ``export`` is not installed.
     """
     out = Path(out)
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise ExportError(f"a movie is an .mp4 or a .gif file: cannot write {out}")
+    if out.suffix.lower() == ".mp4":
+        need("export", ("imageio_ffmpeg",), "an MP4 movie")
     if not isinstance(transient, TransientReader):
         with TransientReader(transient) as reader:
             write_movie(reader, out, options)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
 # From the darkest to the brightest colour. The hidden return is 4 to 5 decades below the direct one
-# (docs/design.md, Hidden signal is small).
+# (docs/science/design.md, Hidden signal is small).
 DECADES = 6.0
 _BRIGHTEN = 0.75  # exponent on the logarithmic scale that makes the hidden return brighter
 _STRIP, _MARGIN = 96, 8  # pixels: height of the curve below the frame, and margin around the curve and labels

@@ -19,6 +19,7 @@ from render.products.card import (
     read_card,
 )
 from render.products.contact_sheet import contact_sheet
+from render.products.croissant import CROISSANT_FILE, croissant, has_no_other_croissant
 from render.products.distributions import distributions_figure, read_distributions
 from render.products.tiles import PICTURE_SIZE, read_tile
 from render.settings import RenderError
@@ -57,7 +58,8 @@ def write_preview(
 
     Returns
     -------
-    The files that were written. A README.md that this program did not write is kept and not among them.
+    The files that were written. A README.md or croissant.json that this program did not write is kept and not
+    among them; without its README.md, neither is written.
 
     Raises
     ------
@@ -78,8 +80,14 @@ def write_preview(
     ]
     earlier = read_card(dataset)
     if earlier.is_ours:
-        write_text(dataset.root / CARD_FILE, dataset_card(dataset, found, chosen or earlier.licence))
-        written.append(dataset.root / CARD_FILE)
+        kept = chosen or earlier.licence
+        cards = {}
+        if has_no_other_croissant(dataset):
+            cards[CROISSANT_FILE] = croissant(dataset, found, kept)
+        cards[CARD_FILE] = dataset_card(dataset, found, kept)
+        for name, text in cards.items():
+            write_text(dataset.root / name, text)
+            written.append(dataset.root / name)
     return written
 
 

@@ -1,7 +1,7 @@
 """When the direct return of a pixel has ended and when its hidden light begins, from the geometry of a scene.
 
 A transient file holds the sum of both parts. Light that met the hidden object went a longer way, so the time
-of a bin tells which part it belongs to. docs/files.md (Transients) states this for readers of the files.
+of a bin tells which part it belongs to, as docs/reference/files.md (Transients) says.
 """
 
 from __future__ import annotations

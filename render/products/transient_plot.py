@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 _DIRECT, _HIDDEN = "#4477aa", "#ee6677"
 _DOTS_PER_INCH = 110
-# Interpolation blurs hidden light over two bins (docs/rendering.md, Time-resolved output). At most 4e-6 of
-# the hidden light of a pixel came earlier than that (docs/files.md).
+# Interpolation blurs light over two bins (docs/science/renderer.md, Time-resolved output). Only 4e-6 of
+# the hidden light of a pixel came earlier than that (docs/reference/files.md).
 _BLUR_BINS = 2.0
 _FAINTEST = 1e-3  # of the brightest hidden bin: the lower end of the axis
 _NS_PER_M = 1e9 / SPEED_OF_LIGHT

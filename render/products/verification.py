@@ -66,7 +66,7 @@ class Verification:
         return len(self.problems) > len(self.defects)
 
     def as_data(self) -> dict[str, Any]:
-        """The result as plain data (docs/files.md, results as JSON)."""
+        """The result as plain data (docs/reference/files.md, results as JSON)."""
         bad, damaged = len(self.problems), len(self.damaged_scenes)
         return {
             "good": self.checked - bad - damaged,

@@ -8,28 +8,17 @@ from __future__ import annotations
 
 import hashlib
 import math
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from render.products.conversion import ExportError
 from storage import sha256_of
 
 _CHUNK_BYTES = 2**20
 _LEVEL = 5  # of Zstandard
 _TEXT_BYTES = 4096  # about, of a scene's text
-
-
-def refuse_without_zarr(folder: Path) -> None:
-    """`ExportError` if the package is not installed."""
-    if find_spec("zarr") is None:
-        raise ExportError(
-            f"{folder} needs the package zarr: install it with  pip install 'night-nlos[zarr]', or give a "
-            "name that ends in .h5"
-        )
 
 
 def copy_to_zarr(file: Path, folder: Path) -> None:

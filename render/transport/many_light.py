@@ -1,6 +1,6 @@
 """Method ``many-light``: virtual lights on the hidden surface light every pixel over the relay wall.
 
-docs/rendering.md derives the estimator and lists its errors.
+docs/science/renderer.md derives the estimator and lists its errors.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Ground truth by the mirror trick: the camera's image of the objects' mirror images in the relay wall.
 
-Source: Caligiuri et al. 2024, sec. 4.1; docs/design.md, Scene.
+Source: Caligiuri et al. 2024, sec. 4.1; docs/science/design.md, Scene.
 """
 
 from __future__ import annotations

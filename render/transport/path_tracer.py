@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 class PathTracer:
     """Unbiased transient path tracing with next-event estimation.
 
-    The relative error of the hidden signal in a pixel is 10 to 15 / sqrt(spp) (docs/design.md, Path tracing).
+    The relative error of a hidden pixel is 10 to 15 / sqrt(spp) (docs/science/design.md, Path tracing).
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class PathExposure:
         steady_sum = 0.0
         for number in range(self.passes):
             seed = np.random.SeedSequence([view.seed, start, number]).generate_state(1)[0]
-            # opaque, because a literal would compile the kernel again for every seed (docs/design.md, DrJit)
+            # opaque: a literal would compile the kernel again for every seed (docs/science/design.md, DrJit)
             steady, transient = integrator.render(
                 scene, sensor, seed=dr.opaque(mi.UInt32, int(seed)), spp=self.spp_per_pass
             )

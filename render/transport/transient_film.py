@@ -3,7 +3,7 @@
 For a crop window, ``transient_hdr_film`` of mitransient stores the whole image. It also stores an unused
 weight channel and adds every return to one bin. This film stores only the crop window, one number per bin.
 It splits every return over the three nearest bins (a quadratic B-spline), which reduces the phase error of
-phasors at 60 MHz from 6e-3 to 2e-8 rad (docs/design.md, Time bins).
+phasors at 60 MHz from 6e-3 to 2e-8 rad (docs/science/design.md, Time bins).
 Sums do not depend on the number of threads.
 """
 

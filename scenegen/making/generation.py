@@ -10,7 +10,6 @@ from typing import Protocol
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
 from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
 from scenegen.preset import Preset
-from scenegen.rendering_record import read_rendering_record, write_rendering_record
 from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene
 from storage.inner_paths import inside
@@ -77,16 +76,8 @@ def finish(
 ) -> Dataset:
     """Collect the scenes as they are made, then write the index."""
     index = build_index(preset, scenes, version, meshes=meshes)
-    if (root / "dataset.json").exists():
-        _keep_rendering(open_dataset(root))
     write_index(root, index)
     return open_dataset(root)
-
-
-def _keep_rendering(dataset: Dataset) -> None:
-    """Give a dataset's rendering record the file of its own that it has had since schema 3."""
-    if dataset.index.rendering is not None and read_rendering_record(dataset.renders) is None:
-        write_rendering_record(dataset.renders, dataset.index.rendering)
 
 
 def reported(scenes: Iterable[SceneEntry], on_scene: Callable[[], None]) -> Iterator[SceneEntry]:

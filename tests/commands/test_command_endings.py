@@ -7,8 +7,9 @@ from resource import RLIMIT_NOFILE, getrlimit
 import pytest
 from night_commands import refusal
 
-import cli
 import commandline.evaluation
+import commandline.rendering
+import commandline.scenes
 import commandline.training
 
 
@@ -18,7 +19,7 @@ def fail_with(monkeypatch, error):
     def fail(*_):
         raise error
 
-    for module in (cli, commandline.evaluation, commandline.training):
+    for module in (commandline.scenes, commandline.rendering, commandline.evaluation, commandline.training):
         monkeypatch.setattr(module, "open_dataset", fail)
 
 

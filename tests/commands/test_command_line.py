@@ -2,18 +2,23 @@
 
 import logging
 import os
+import re
 import signal
 from importlib.metadata import version
 from pathlib import Path
-from typing import get_args
 
 import click
 import pytest
 from night_commands import DEFECT, night_here, refusal
 
 import cli
+from commandline.options import Megahertz
+from commandline.training_options import SHOWN, given_settings
 from itof import ImageFileError
-from model.settings import TrainSettings, training_fields
+from model.settings.keys import all_keys, merged
+from model.settings.presets import training_preset
+from model.settings.target import DepthTarget
+from model.settings.train_settings import TrainSettings, settings_from_dict
 from storage import NightError
 
 PROGRAMS = {
@@ -65,31 +70,89 @@ def test_the_word_of_the_main_job_may_be_left_out(words):
     assert "there is no folder nowhere" in refusal(*words)
 
 
-def test_every_training_setting_has_one_option_with_its_description_and_bounds():
-    options = {option.name: option for option in options_of("night-train")}
-    fields = training_fields()
-    assert fields.keys() == set(TrainSettings.__dataclass_fields__)
-    assert options.keys() == fields.keys() | {"out", "preset", "resume", "start_from", "as_json", "version"}
-    assert len(options_of("night-train")) == len(options)
-    for name, field in fields.items():
-        option = options[name]
-        assert option.help == field.description
-        assert option.default is None  # not given: the preset or the run decides
-        flag = "--" + name.removesuffix("_hz").replace("_", "-")
-        assert option.opts == [flag]
-        assert option.secondary_opts == ([flag.replace("--", "--no-")] if field.annotation is bool else [])
-        if isinstance(option.type, click.Choice):
-            assert tuple(option.type.choices) == get_args(field.annotation)
-    bounds = {
-        name: (options[name].type.min, options[name].type.max) for name in ("ema_decay", "rotation_deg")
+MOST_OPTIONS = {("night-train",): 25}  # with --help and --version
+MOST_OTHERS = 17  # fifteen, --help and --version
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_no_command_shows_more_options_than_a_person_can_read(words):
+    if isinstance(PROGRAMS[words[0]], click.Group) and len(words) == 1:
+        return  # its commands are judged
+    text = night_here(*words, "--help").stdout
+    shown = re.findall(r"^  (--[a-z-]+)", text, flags=re.MULTILINE)
+    assert len(shown) <= MOST_OPTIONS.get(words, MOST_OTHERS)
+
+
+def test_night_train_shows_the_options_that_people_set_under_headings():
+    text = night_here("night-train", "--help").stdout
+    shown = re.findall(r"^  (--[a-z-]+)", text, flags=re.MULTILINE)
+    assert shown == [*dict.fromkeys(shown)]
+    headings = ["Options", "Settings", *SHOWN]
+    assert re.findall(r"^([A-Z][a-z]+):$", text, flags=re.MULTILINE) == headings
+    assert {f"--{flag}" for flags in SHOWN.values() for flag in flags} <= set(shown)
+
+
+def test_an_option_of_a_setting_has_its_bounds_and_says_what_it_is():
+    options = {option.opts[0]: option for option in options_of("night-train")}
+    for flags in SHOWN.values():
+        for flag, key in flags.items():
+            assert options[f"--{flag}"].default is None, key  # not given: the preset or the run decides
+            assert options[f"--{flag}"].help
+    width, rate = (options[name].type for name in ("--width", "--learning-rate"))
+    assert (width.min, width.max, rate.min, rate.min_open) == (1, 1_000_000, 0, True)
+    assert options["--target"].type.choices == ("components", "depth", "mask+depth")
+    assert options["--reference"].type.choices == ("geometry", "capture", "self", "self+wiggling")
+    assert options["--frequencies"].type.name == "MHZ,..."
+    assert options["--progress"].secondary_opts == ["--no-progress"]
+
+
+def test_every_setting_has_a_description():
+    assert [
+        key for key, field in all_keys(TrainSettings) if not field.description and ".sensor." not in key
+    ] == []
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["network.widht=3"], "options: unknown key network.widht: the nearest are network.width"),
+        (["width=3"], "options: unknown key width: the nearest are network.width"),
+        (["network.width=2.5"], "options: network.width must be a whole number (got 2.5)"),
+        (["network.width"], "'network.width' is no setting: write it like network.width=32"),
+        (["network.width="], "'network.width=' is no setting: write it like network.width=32"),
+        (["target.alpha=1"], "target.alpha goes with target.kind components or depth, and it is mask+depth"),
+        (
+            ["target.kind=paper"],
+            "target.kind must be one of 'components', 'depth', 'mask+depth' (got 'paper')",
+        ),
+        (["target=5"], "target must be a table of keys and values (got 5)"),
+        (["network.width=1", "network.width=0"], "network.width must be greater than or equal to 1 (got 0)"),
+    ],
+)
+def test_a_setting_that_there_is_not_is_refused_in_one_sentence(closed_form_scenes, tmp_path, given, words):
+    assignments = [word for each in given for word in ("--set", each)]
+    said = refusal("night-train", closed_form_scenes.root, "--out", tmp_path / "run", *assignments)
+    assert words in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_come_from_defaults_preset_options_and_set_in_this_order():
+    chosen = {f"{key}".replace(".", "_"): None for flags in SHOWN.values() for key in flags.values()}
+    given = given_settings(
+        chosen | {"network_width": 8, "target_kind": "depth", "input_frequencies_hz": (2e7, 5e7)},
+        ("network.width=9", "run.patience = 3", "target.loss=mse", "augmentation.paper.translation=0.1"),
+    )
+    assert given == {
+        "input": {"frequencies_hz": (2e7, 5e7)},
+        "network": {"width": 9},
+        "target": {"kind": "depth", "loss": "mse"},
+        "run": {"patience": 3},
+        "augmentation": {"paper": {"translation": 0.1}},
     }
-    assert bounds == {"ema_decay": (0, 1), "rotation_deg": (0, 180)}
-    assert options["ema_decay"].type.max_open
-    assert options["mask_threshold"].type.min_open
-    assert not options["dead_zone"].type.min_open
-    assert [name for name in fields if options[name].type.name == "MHZ,..."] == ["frequencies_hz"]
-    assert isinstance(options["train_scenes"].type, click.IntRange)
-    assert options["train_scenes"].type.min == 1
+    found = settings_from_dict(merged(training_preset("paper")[0], given), "options")
+    assert (found.network.width, found.network.levels, found.run.patience) == (9, 5, 3)
+    assert found.target == DepthTarget(loss="mse")  # another kind, with its own defaults
+    assert (found.augmentation.paper.translation, found.augmentation.paper.rotation_deg) == (0.1, 180)
 
 
 def failing_with(error):
@@ -111,7 +174,7 @@ def failing_with(error):
     ids=repr,
 )
 def test_an_unexpected_exception_is_a_defect_with_a_traceback(monkeypatch, error):
-    monkeypatch.setattr(cli, "open_dataset", failing_with(error))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(error))
     done = night_here("night-render", "status", "data", defect=True)
     assert (done.returncode, done.stdout) == (DEFECT, "")
     lines = done.stderr.splitlines()
@@ -132,7 +195,7 @@ def test_a_defect_while_options_are_parsed_is_one_too(monkeypatch):
 
 
 def test_tests_see_a_defect_as_a_failure(monkeypatch):
-    monkeypatch.setattr(cli, "open_dataset", failing_with(KeyError("frequency")))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(KeyError("frequency")))
     with pytest.raises(AssertionError, match="KeyError: 'frequency'"):
         night_here("night-render", "status", "data")
 
@@ -148,7 +211,7 @@ def test_tests_see_a_defect_as_a_failure(monkeypatch):
     ids=repr,
 )
 def test_what_a_user_can_change_is_one_sentence(monkeypatch, error, sentence):
-    monkeypatch.setattr(cli, "open_dataset", failing_with(error))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(error))
     assert refusal("night-render", "status", "data") == sentence
     done = night_here("night-render", "status", "data", NIGHT_TRACEBACK="1")
     assert done.returncode == 2
@@ -160,11 +223,13 @@ def test_signals_end_a_command_with_their_own_codes(monkeypatch):
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` ignores it
     try:
         for number in (signal.SIGTERM, signal.SIGHUP):
-            monkeypatch.setattr(cli, "open_dataset", lambda _, number=number: os.kill(os.getpid(), number))
+            monkeypatch.setattr(
+                "commandline.rendering.open_dataset", lambda _, number=number: os.kill(os.getpid(), number)
+            )
             assert night_here("night-render", "status", "data").returncode == 128 + number
     finally:
         signal.signal(signal.SIGHUP, before)
-    monkeypatch.setattr(cli, "open_dataset", failing_with(KeyboardInterrupt()))
+    monkeypatch.setattr("commandline.rendering.open_dataset", failing_with(KeyboardInterrupt()))
     done = night_here("night-render", "status", "data")
     assert (done.returncode, done.stderr) == (128 + signal.SIGINT, "interrupted\n")
 
@@ -189,4 +254,4 @@ def test_a_command_in_this_process_leaves_no_trace_in_it(tmp_path):
     ],
 )
 def test_frequencies_are_given_in_megahertz_in_any_order(text, frequencies_hz):
-    assert cli.Megahertz().convert(text, None, None) == frequencies_hz
+    assert Megahertz().convert(text, None, None) == frequencies_hz

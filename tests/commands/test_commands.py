@@ -95,17 +95,17 @@ def test_a_finished_training_resumes_to_more_epochs_on_the_device_of_the_run(pip
     assert set(result) == {"run", "epochs", "best_epoch", "best_validation_loss", "ended_by"}
     assert (result["run"], result["epochs"], result["ended_by"]) == (str(run), 3, "max_epochs")
     assert "3 epochs, ended by max_epochs" in done.stderr
-    assert json.loads((run / "run.json").read_text())["settings"]["device"] == "cpu"  # not auto
+    assert json.loads((run / "run.json").read_text())["settings"]["run"]["device"] == "cpu"  # not auto
 
 
 def test_the_device_of_a_training_preset_is_used_unless_another_is_given(pipeline, tmp_path):
     preset = tmp_path / "small.toml"
-    preset.write_text('width = 2\nmax_epochs = 1\ndevice = "cpu"\nprogress = false\n')
+    preset.write_text('[network]\nwidth = 2\n[run]\nmax_epochs = 1\ndevice = "cpu"\nprogress = false\n')
     for given, device in ((), "cpu"), (("--device", "auto"), "auto"):
         out = tmp_path / device
         done = night_here("night-train", pipeline.folder / "data", "--out", out, "--preset", preset, *given)
         assert done.returncode == 0, done.stderr
-        assert json.loads((out / "run.json").read_text())["settings"]["device"] == device
+        assert json.loads((out / "run.json").read_text())["settings"]["run"]["device"] == device
 
 
 def test_a_dry_run_prints_the_plan_and_changes_nothing(pipeline_copy):
@@ -117,13 +117,15 @@ def test_a_dry_run_prints_the_plan_and_changes_nothing(pipeline_copy):
     assert (done.stdout + done.stderr).count("plan: ") == 1
     assert done.stdout.startswith("plan: 1 scenes at 24x18, many-light, product both\ndisk: ")
     assert tree(data) == before
-    other = night_here("night-render", data, "--dry-run", "--replace", "--resolution", "12x9")
+    other = night_here("night-render", data, "--dry-run", "--again", "changed", "--resolution", "12x9")
     assert other.returncode == 0, other.stderr
     assert tree(data) == before
     for unrendered in (False, True):  # also where no folder of renders is there
         if unrendered:
             shutil.rmtree(data / "renders")
-        done = night_here("night-render", data, "--dry-run", "--replace", "--product", "itof", "--lights", 9)
+        done = night_here(
+            "night-render", data, "--dry-run", "--again", "changed", "--product", "itof", "--lights", 9
+        )
         assert done.stdout.startswith("plan: 7 scenes at 24x18, many-light, product itof")
         assert (data / "renders").exists() is not unrendered
 
@@ -213,7 +215,7 @@ def limited(blocks, *command):
 def test_a_file_size_limit_leaves_no_half_file(pipeline_copy):  # a full disk: test_render_interrupted.py
     data = pipeline_copy / "data"
     shutil.rmtree(data / "renders")
-    only = ("--only", "000000", "--lights", 64, "--replace", "--device", "cpu")
+    only = ("--only", "000000", "--lights", 64, "--again", "changed", "--device", "cpu")
     done = limited(8, "night-render", data, *only)
     assert done.returncode == 1
     assert "failed: scene 000000" in done.stderr
@@ -255,20 +257,10 @@ def test_a_check_whose_worker_is_killed_says_so(pipeline):
 @pytest.mark.long
 def test_the_processes_of_a_training_that_ends_in_one_of_them_end_too(pipeline, tmp_path):
     (program,) = words("night-train")
-    exploding = ("--batch-size", 2, "--learning-rate", 1e300, "--checkpoint-minutes", 0)
+    exploding = ("--batch-size", 2, "--learning-rate", 1e300, "--set", "run.checkpoint_minutes=0")
     options = ("--out", tmp_path / "run", "--width", 2, "--max-epochs", 3, "--device", "cpu", *exploding)
     done = night("torchrun", "--nproc-per-node", 2, program, pipeline.folder / "data", *options)
     said = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
     assert len(said) == 2, done.stderr
     assert "Error: another process of this training has ended: see what it printed" in said
     assert "defect of NIGHT" not in done.stderr
-
-
-@pytest.mark.long
-def test_a_network_that_cannot_be_compiled_says_what_is_missing(pipeline, tmp_path):
-    options = ("--out", tmp_path / "run", "--width", 2, "--max-epochs", 1, "--device", "cpu", "--compile")
-    nothing = {"PATH": str(tmp_path), "TORCHINDUCTOR_CACHE_DIR": str(tmp_path / "cache")}
-    done = night("night-train", pipeline.folder / "data", *options, **nothing)
-    assert done.returncode == 2, done.stderr
-    assert "the network cannot be compiled (InvalidCxxCompiler" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -65,11 +65,12 @@ WINGS = {
     "model.network": {"model.settings"},
     "model.run_folder": {"model.network", "model.settings"},
     "model.data": {"model.network", "model.settings"},
+    "model.paper": {"model.data", "model.network", "model.settings"},
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
     "model.refinement.light": {"model.data", "model.network", "model.device"},
     "model.training": {
         *("model.refinement.light", "model.data", "model.network", "model.run_folder", "model.device"),
-        "model.settings",
+        *("model.paper", "model.settings"),
     },
     "model.judging": {
         *("model.prediction", "model.data", "model.network", "model.run_folder", "model.device"),

@@ -3,6 +3,8 @@
 import importlib
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,8 +16,19 @@ from click.testing import CliRunner
 import cli
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
+MOST_WORDS, LONGEST_CELL = 25_000, 200
 ROOMS = ("scenegen", "itof", "render", "model")
+ROOM_FOLDERS = ("storage", "processes", *ROOMS, "commandline")
+PROGRAMS = [
+    *ROOT.glob("*.py"),
+    *(
+        file
+        for folder in (*ROOM_FOLDERS, "benchmarks", "tests")
+        for file in sorted((ROOT / folder).rglob("*.py"))
+    ),
+]
 NO_PYTHON_NAMES = {
     "itof.exr",
     "itof.frequencies_hz",
@@ -52,6 +65,12 @@ def code_lines(text):
     yield from (" ".join(code.split()) for code in re.findall(r"`([^`]+)`", sentences))
 
 
+def table_cells(text):
+    """Cells of tables as they are read: without the addresses of links."""
+    for row in re.findall(r"^\|(.*)\|$", text, re.M):
+        yield from re.split(r"(?<!\\)\|", re.sub(r"\]\([^)]*\)", "]", row))
+
+
 def commands(text):
     """Calls of the four commands, as lists of words."""
     for line in code_lines(text):
@@ -75,7 +94,8 @@ def test_links_between_pages_lead_somewhere(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_files_that_a_page_names_exist(page):
-    ours = r"(?<![\w/.<-])(?:scenegen|itof|render|model|tests|benchmarks|data|docs|\.ci)/[\w./*<>{},-]+"
+    folders = "|".join((*ROOM_FOLDERS, "tests", "benchmarks", "data", "docs", "notebook", r"\.ci"))
+    ours = rf"(?<![\w/.<-])(?:{folders})/[\w./*<>{{}},-]+"
     named = {path.rstrip(".,") for path in re.findall(ours, "\n".join(code_lines(page.read_text())))}
     patterns = [path for path in named if not set("<{") & set(path)]  # these are placeholders
     assert [path for path in patterns if not list(ROOT.glob(path))] == []
@@ -125,7 +145,7 @@ def test_the_tests_that_a_page_names_exist(page):
 
 
 def test_each_statement_of_the_paper_has_a_mark_and_what_is_done_has_a_test_or_a_command():
-    text = (ROOT / "docs/paper.md").read_text()
+    text = (ROOT / "docs/science/paper.md").read_text()
     rows = [[cell.strip() for cell in row.split(" | ")] for row in re.findall(r"^\| (.*) \|$", text, re.M)]
     statements = [row for row in rows if len(row) > 3 and re.match(r"[\d-]", row[0]) and set(row[1]) != {"-"}]
     assert len(statements) > 100
@@ -143,14 +163,57 @@ def test_each_statement_of_the_paper_has_a_mark_and_what_is_done_has_a_test_or_a
 
 
 def test_docstrings_cite_sections_that_the_design_page_has():
-    sections = tuple(headings(ROOT / "docs/design.md"))
+    sections = tuple(headings(ROOT / "docs/science/design.md"))
     wrong = []
     for folder in (*ROOMS, "benchmarks", "tests"):
         for file in sorted((ROOT / folder).rglob("*.py")):
             text = re.sub(r"\s*\n\s*(# )?", " ", file.read_text())
-            cited = re.findall(r"docs/design\.md, (.{0,40})", text) if file != Path(__file__) else []
+            cited = re.findall(r"docs/science/design\.md, (.{0,40})", text) if file != Path(__file__) else []
             wrong += [f"{name(file)}: {words}" for words in cited if not words.startswith(sections)]
     assert wrong == []
+
+
+def test_the_pages_that_the_code_cites_exist():
+    wrong = []
+    for file in PROGRAMS:
+        cited = set(re.findall(r"\b(?:docs|notebook)/[\w/-]+\.md", file.read_text()))
+        wrong += [f"{name(file)}: {page}" for page in sorted(cited) if not (ROOT / page).is_file()]
+    assert wrong == []
+
+
+def test_the_documentation_is_short_and_its_tables_are_readable():
+    assert sum(len(page.read_text().split()) for page in DOCS) <= MOST_WORDS
+    assert len((ROOT / "README.md").read_text().splitlines()) < 120
+    cells = [(name(page), cell) for page in PAGES for cell in table_cells(page.read_text())]
+    assert [cell for cell in cells if len(cell[1].strip()) > LONGEST_CELL] == []
+
+
+@pytest.mark.long
+def test_the_site_is_built_without_warnings_and_takes_nothing_from_elsewhere(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        tmp_path / "site",
+    ]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    pages = {str(file.relative_to(tmp_path / "site")): file.read_text() for file in tmp_path.rglob("*.html")}
+    foreign = (
+        r"<(?:script|img|iframe)[^>]* src=\"?(?:https?:)?//|<link[^>]* href=\"?(?:https?:)?//[^>]*stylesheet"
+    )
+    assert [page for page, text in pages.items() if re.search(foreign, text)] == []
+    commands = pages["reference/commands.html"]
+    assert all(f"Usage: {program} " in commands for program in COMMANDS)
+    settings = pages["reference/settings.html"]
+    assert all(
+        key in settings for key in ("learning_rate", "camera.horizontal_fov_deg", "sensor.full_well_e")
+    )
+    assert "radial_depth_m" in pages["reference/python.html"]
 
 
 def test_the_citation_file_has_the_version_of_the_package():

@@ -198,7 +198,7 @@ def test_every_command_works_in_a_poor_environment(tmp_path, lines):
         assert not done.stderr or "2>" not in line
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_every_command_says_that_its_result_could_not_be_printed(tmp_path):
     for command in every_command(tmp_path):
         done = shell(f'exec "$@" >{FULL}', *command)
@@ -206,7 +206,7 @@ def test_every_command_says_that_its_result_could_not_be_printed(tmp_path):
         assert "Error: the result could not be printed on standard output: No space" in done.stderr
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_every_command_refuses_a_folder_that_is_read_only_in_one_sentence(pipeline_copy):
     commands = every_command(pipeline_copy)
     shell('chmod -R a-w "$@"', pipeline_copy)

@@ -5,7 +5,7 @@ import statistics
 
 from source_tree import ROOMS, ROOT
 
-FOLDERS = (*ROOMS, "benchmarks", "tests")
+FOLDERS = (*ROOMS, "benchmarks", "docs", "tests")
 MODULES = [ROOT / "cli.py", ROOT / "night_nlos.py"]
 PROGRAMS = [*MODULES, *(file for folder in FOLDERS for file in sorted((ROOT / folder).rglob("*.py")))]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]

@@ -12,7 +12,7 @@ from itof.capture.sidecar import Lens, Sidecar
 from itof.files.measurement_files import read_measurement
 from itof.wall.expected_wall import ExpectedWall
 
-PAGE = (Path(__file__).parents[2] / "docs/captures.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs/guide/captures.md").read_text()
 
 
 def blocks(language):

@@ -8,11 +8,9 @@ from itof import (
     MeasurementMatrix,
     combined_range_m,
     depth_from_phase,
-    join_components,
     phase,
     phasor_of_return,
     phasors,
-    split_components,
     unambiguous_range_m,
     unwrap_depth,
 )
@@ -139,11 +137,6 @@ def test_unwrapping_averages_phase_noise_with_the_weight_of_each_frequency():
     error = unwrap_depth(noisy, FREQUENCIES_HZ) - depth_m
     expected = sigma / np.linalg.norm(slopes)
     assert np.std(error) == pytest.approx(expected, rel=5 / np.sqrt(2 * 20_000))
-
-
-def test_components_split_and_join_without_loss():
-    z = np.arange(12).reshape(2, 2, 3) * (1 + 2j)
-    np.testing.assert_array_equal(join_components(split_components(z)), z)
 
 
 @pytest.mark.parametrize(

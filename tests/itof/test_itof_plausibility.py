@@ -74,7 +74,7 @@ def test_a_wall_that_is_a_little_off_is_noted_from_where_it_can_be_told_from_hid
 def test_the_place_of_a_wall_that_moved_is_told(rendered):
     wall, measurements = rendered
     found = check_measurement(farther(measurements[0], wall, 0.05), wall)
-    # Hidden light is worth less than half a millimetre (docs/design.md).
+    # Hidden light is worth less than half a millimetre (docs/science/design.md).
     assert found.wall.distance_shift_m == pytest.approx(0.05, abs=5e-4)
     assert found.wall.tilt_deg < 0.1
     assert describe_shift(found.wall).startswith("5.0 cm farther away")

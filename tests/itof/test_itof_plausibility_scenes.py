@@ -6,8 +6,6 @@ from wall_measurements import DEFECTS, expected_wall_of, noise, phasors_of
 
 from itof.wall.plausibility import check_measurement
 
-pytestmark = pytest.mark.long
-
 SMALL = {"width": 40, "height": 30}
 NEAR = {"location_m": {"x": [0.75, 1.0], "y": [0.6, 0.9], "z": [1.45, 1.85]}}
 LARGE = {"size_m": {"sphere": [0.9, 0.9, 0.9], "cube": [0.7, 0.7, 0.7]}}
@@ -31,7 +29,7 @@ PRESETS = {
     "two frequencies": {"dataset": {"count": 7}, "camera": SMALL, "itof": {"frequencies_hz": [15e6, 70e6]}},
     "one frequency": {"dataset": {"count": 7}, "camera": SMALL, "itof": {"frequencies_hz": [20e6]}},
 }
-MORE = ("larger image", "another camera", "two frequencies")
+IN_CI = ("demo", "faint, and the wall ends in the image", "one frequency")
 # Told by any number of frequencies.
 ALWAYS = {
     *("noise", "random phases", "ones", "one phase", "darkness", "no amplitude", "conjugated", "negative"),
@@ -41,7 +39,11 @@ ALWAYS = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.thorough if name in MORE else ()) for name in PRESETS]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if name in IN_CI else pytest.mark.thorough)
+        for name in PRESETS
+    ],
 )
 def test_valid_measurements_are_not_suspected_and_defects_are_found(make_dataset, variant, name):
     from render.options import ManyLightOptions

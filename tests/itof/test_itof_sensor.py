@@ -144,6 +144,7 @@ def test_shot_noise_of_few_and_of_many_electrons():
         mean_e = float(found.signal_e[0, 0])
         spread = np.std(found.phasor[..., 0].real) / 0.4
         expected = math.sqrt(2 / (4 * mean_e)) / first_harmonic(settings, 20e6)
+        # 10800 pixels know a standard deviation to 1 / sqrt(2 x 10800) = 0.7 %; four times that.
         assert spread == pytest.approx(expected, rel=0.03)
 
 
@@ -156,6 +157,7 @@ def test_binned_pixels_and_averaged_frames_have_less_noise():
         (replace(NOISY, frames=16), 4),
         (replace(NOISY, integration_s=16e-3), 4),
     ):
+        # Two standard deviations of 1296 values each: 2 % sqrt(2); three times that.
         assert np.std(np.angle(captured(settings, z, 1).phasor / z)) == pytest.approx(spread / times, rel=0.1)
 
 
@@ -165,6 +167,7 @@ def test_the_fixed_pattern_changes_brightness_and_no_phase():
     z = scene()
     found = captured(settings, z).phasor
     np.testing.assert_allclose(np.angle(found / z), 0, atol=1e-12)
+    # Two taps of 5 % each are 3.5 % together; offsets and the mismatch change it by a part.
     assert 0.02 < np.std(np.abs(found / z)) < 0.06
     np.testing.assert_allclose(captured(settings, z, seed=5).phasor, found, rtol=1e-12)
     assert np.abs(captured(replace(settings, pattern_seed=4), z).phasor - found).max() > 1e-3
@@ -208,6 +211,7 @@ def test_dead_pixels_are_left_out():
     np.testing.assert_allclose(captured(settings, z).phasor, z, rtol=1e-12)
     single = captured(replace(settings, width=24, height=18), z).phasor
     gone = single == 0
+    # 432 pixels: sqrt(0.3 x 0.7 / 432) = 0.022, of which 0.1 is more than four.
     assert gone.all(axis=-1).mean() == pytest.approx(0.3, abs=0.1)
     np.testing.assert_allclose(single[~gone], z[~gone], rtol=1e-12)
 

@@ -46,6 +46,7 @@ def test_a_small_shift_is_the_linear_one_up_to_second_order(wall):
         fit = fit_wall(returned(wall, SLANTED + size * step), wall)
         linear_m = -(wall.radial_depth_m**2) * (wall.rays @ (size * step))
         errors_m.append(np.abs(fit.shift_m - linear_m).max())
+    # The third order is the step itself: 2 mm of 1.1 m, and 0.1 degrees, which is below 1 %.
     assert errors_m[0] / errors_m[1] == pytest.approx(4, rel=0.02)
 
 

@@ -112,7 +112,7 @@ def test_a_run_knows_how_its_reference_was_weighted(shards):
     now = fit_input_spec("residual", shards, rows)
     assert now.subpixel_weights == "measured"
     before = replace(now, subpixel_weights="uniform")  # as in version 0.1
-    z = shards.complex_phasors(rows[:1])[0]
+    z = shards.read(rows[:1]).phasors[0]
     turned = z / shards.reference
     expected = (turned / np.abs(turned[..., :1])).imag / np.array(now.residual_scale[:3])
     np.testing.assert_allclose(np.moveaxis(before.apply(z, shards.reference)[:3], 0, -1), expected, atol=1e-5)

@@ -167,7 +167,7 @@ def test_a_network_learns_resumes_and_is_judged_on_many_views(views, run, tmp_pa
     shards, rows = open_shards(views), open_shards(views).rows("test")
     block = shards.read(rows)
     fields_of_view_deg = shards.fields_of_view_deg(rows)
-    found = load(run, "cpu").predict(block.complex_phasors(), fields_of_view_deg=fields_of_view_deg)
+    found = load(run, "cpu").predict(block.phasors, fields_of_view_deg=fields_of_view_deg)
     own_mm = [
         1e3 * np.abs(found.radial_depth_m[n] - block.radial_depth_m[n]).mean() for n in range(len(rows))
     ]
@@ -175,12 +175,12 @@ def test_a_network_learns_resumes_and_is_judged_on_many_views(views, run, tmp_pa
     np.testing.assert_allclose(own_mm, judged_mm, rtol=1e-5)
     predictor = load(run, "cpu")
     one = predictor.at(predictor.config.geometry.with_fov(fields_of_view_deg[0]))
-    alone = one.predict(block.complex_phasors()[0])
+    alone = one.predict(block.phasors[0])
     np.testing.assert_allclose(found[0].radial_depth_m, alone.radial_depth_m, rtol=1e-5)
 
 
 def test_images_and_fields_of_view_must_go_together(views, run):
-    predictor, z = load(run, "cpu"), open_shards(views).complex_phasors([0, 1])
+    predictor, z = load(run, "cpu"), open_shards(views).read([0, 1]).phasors
     with pytest.raises(InputError, match="2 images have 1 fields_of_view_deg: give one each"):
         predictor.predict(z, fields_of_view_deg=[60.0])
     for bad in (0.0, np.nan, 180.0):

@@ -9,12 +9,11 @@ import torch
 from wall_rows import HEIGHT, WIDTH, batch_of, draws_of, measured_rows
 
 from itof import network_channels, residual_channels
-from model.data.augmentation import Augmentation, Warp
+from model.data.augmentation import Augmentation
 from model.data.batches import Batch
-from model.data.rows import ARRAYS
-from model.settings import TrainSettings
+from model.paper.augmentation import PaperAugmentation, Warp
 
-PAPER = Augmentation(flip_rows=True, flip_columns=True, rotation_deg=180.0, translation=0.2)
+PAPER = PaperAugmentation(flip_rows=True, flip_columns=True, rotation_deg=180.0, translation=0.2)
 
 
 def warp(*, rows: bool = False, columns: bool = False, angle_rad: float = 0.0, shift=(0.0, 0.0)) -> Warp:
@@ -51,7 +50,8 @@ def test_an_augmented_pair_is_what_augmenting_by_hand_gives():
         noisy = bright + 1e-4 * np.abs(bright[..., :1]) * noise
         residual = residual_channels(noisy, direct) / np.array([1e-3, 2e-3, 3e-3])[:, None, None]
         expected = np.concatenate([network_channels(noisy, 0.3), residual])  # (C, H, W)
-        truths = [rows.target[index], rows.radial_depth_m[index], rows.mask[index].float()]
+        target = torch.view_as_real(rows.target[index]).movedim(-1, 0)  # (2, H, W)
+        truths = [target, rows.radial_depth_m[index], rows.mask[index].float()]
         if draws.coins[index, 0]:
             expected, truths = expected[:, ::-1], [truth.flip(-2) for truth in truths]
         # Phasors are complex64: 1e-7 of 1, divided by the residual's scale of 1e-3.
@@ -60,24 +60,14 @@ def test_an_augmented_pair_is_what_augmenting_by_hand_gives():
             assert torch.equal(getattr(result, name)[index], truth), name
 
 
-def test_darker_objects_are_those_whose_hidden_light_is_a_part_of_what_it_was():
-    rows, maker, phasor, direct = measured_rows()
-    rows = maker.upload(replace(rows, **{name: getattr(rows, name).numpy() for name in ARRAYS}))
-    draws = draws_of(5, seed=3)
-    dark = Augmentation(least_reflectance=0.2)(rows, maker, draws)
-    parts = [
-        1 - 0.8 * np.random.default_rng(np.random.SeedSequence((int(seed), 2))).random()
-        for seed in draws.noise_seed
-    ]
-    assert min(parts) < 0.6 < 0.8 < max(parts) <= 1  # they differ
-    darker = direct + np.array(parts)[:, None, None, None] * (phasor - direct)
-    expected = residual_channels(darker, direct) / np.array([1e-3, 2e-3, 3e-3])[:, None, None]
-    # Hidden light is 2e-3 of the direct light: what is left is its square, over a scale of 1e-3.
-    np.testing.assert_allclose(dark.channels[:, -3:].numpy(), expected, atol=2 * 2e-3**2 / 1e-3)
-    plain = maker.batch(rows)
-    assert float((dark.channels - plain.channels)[:, -3:].abs().max()) > 0.5
-    for name in ("target", "radial_depth_m", "mask"):
-        assert torch.equal(getattr(dark, name), getattr(plain, name)), name
+def test_our_flip_of_the_rows_is_that_of_the_papers_changes():
+    rows, maker, _, _ = measured_rows()
+    ours, theirs = (
+        each(rows, maker, draws_of(5, seed=1))
+        for each in (Augmentation(flip_rows=True), PaperAugmentation(flip_rows=True))
+    )
+    assert_each(ours, theirs, lambda x: x, atol=0)
+    assert not torch.equal(ours.channels, maker.batch(rows).channels)
 
 
 def test_a_flip_of_the_rows_is_that_of_the_measurement_itself():
@@ -86,7 +76,7 @@ def test_a_flip_of_the_rows_is_that_of_the_measurement_itself():
     np.testing.assert_allclose(direct, direct[::-1], rtol=1e-12)
     always = replace(draws_of(5), coins=torch.ones(5, 2, dtype=torch.bool))
     flipped = Augmentation(flip_rows=True)(rows, maker, always)
-    upside_down = maker.batch(rows, rows.complex_phasors().flip(1))
+    upside_down = maker.batch(rows, rows.phasors.flip(1))
     # The reference is complex64, alike above and below to 1e-7, over the residual's scale of 1e-3.
     torch.testing.assert_close(flipped.channels, upside_down.channels, rtol=0, atol=5e-4)
 
@@ -158,7 +148,7 @@ def test_draws_stay_in_range_differ_between_images_and_repeat_with_the_seed():
 
 
 def test_flip_touches_rows_alone():
-    drawn = Augmentation(flip_rows=True).warp(draws_of(100))
+    drawn = PaperAugmentation(flip_rows=True).warp(draws_of(100))
     assert drawn.flip_rows.any()
     assert not drawn.flip_columns.any()
     assert not drawn.angle_rad.any()
@@ -168,7 +158,7 @@ def test_flip_touches_rows_alone():
 def test_sensor_noise_has_its_deviation_on_every_component_and_is_each_images_own():
     rows, _, _, _ = measured_rows(200)
     sigma, draws = 1e-3, draws_of(200)
-    phasor = rows.complex_phasors()
+    phasor = rows.phasors
     noise = Augmentation(noise_sigma=sigma).measured(phasor, draws) - phasor
     relative = torch.view_as_real(noise / phasor[..., :1].abs())  # (N, H, W, F, 2)
     # The deviation of n = 12000 values has a relative error of 1 / sqrt(2 n) = 0.65 %; 4.5 of those.
@@ -196,7 +186,7 @@ def test_another_exposure_changes_the_amplitude_channel_alone():
 def test_noise_of_the_channels_has_its_deviation_on_each_of_them_and_is_each_images_own():
     rows, maker, _, _ = measured_rows(200)
     draws, plain = draws_of(200), maker.batch(rows).channels  # (N, C, H, W)
-    noisy = Augmentation(channel_noise_sigma=1.0)(rows, maker, draws)
+    noisy = PaperAugmentation(channel_noise_sigma=1.0)(rows, maker, draws)
     noise = noisy.channels - plain
     # n = 12000 values a channel: the deviation has a relative error of 1 / sqrt(2 n) = 0.65 %, the mean one
     # of 1 / sqrt(n) = 0.9 %; 4.5 of those.
@@ -205,7 +195,7 @@ def test_noise_of_the_channels_has_its_deviation_on_each_of_them_and_is_each_ima
     torch.testing.assert_close(noise.mean(dim=(0, 2, 3)), 0 * channels, rtol=0, atol=0.041)
     apart = [torch.corrcoef(pair)[0, 1] for pair in (noise[:2].flatten(1), noise[0, :2].flatten(1))]
     assert max(map(abs, apart)) < 4.5 / (HEIGHT * WIDTH) ** 0.5  # images, and channels of an image
-    alone = Augmentation(channel_noise_sigma=1.0).seen(plain[7:8], draws[7:8])
+    alone = PaperAugmentation(channel_noise_sigma=1.0).seen(plain[7:8], draws[7:8])
     assert torch.equal(alone[0], noisy.channels[7])
     for name in ("target", "radial_depth_m", "mask"):
         assert torch.equal(getattr(noisy, name), getattr(maker.batch(rows), name)), name
@@ -222,47 +212,9 @@ def test_noise_of_the_channels_is_not_smoothed_by_a_rotation():
 def test_noise_of_the_channels_and_of_the_phasors_are_different_numbers():
     rows, _, _, _ = measured_rows(200)
     draws = draws_of(200)
-    phasor = rows.complex_phasors()
+    phasor = rows.phasors
     sensor = Augmentation(noise_sigma=1.0).measured(phasor, draws) - phasor
     relative = torch.view_as_real(sensor / phasor[..., :1].abs()).flatten()[: 200 * HEIGHT * WIDTH]
     channels = torch.zeros(200, 4, HEIGHT, WIDTH)
-    other = Augmentation(channel_noise_sigma=1.0).seen(channels, draws).flatten()[: len(relative)]
+    other = PaperAugmentation(channel_noise_sigma=1.0).seen(channels, draws).flatten()[: len(relative)]
     assert abs(float(torch.corrcoef(torch.stack([relative, other]))[0, 1])) < 4.5 / len(relative) ** 0.5
-
-
-def test_with_a_fraction_for_each_change_an_image_gets_at_most_one():
-    draws = draws_of(7000)
-    apart = replace(PAPER, channel_noise_sigma=1.0, change_fraction=1 / 7)
-    warp, channels = apart.warp(draws), torch.zeros(7000, 1, 1, 2)
-    noisy = (apart.seen(channels, draws) != 0).any(dim=(1, 2, 3))
-    changed = torch.stack(
-        [warp.flip_rows, warp.flip_columns, warp.angle_rad != 0, (warp.shift != 0).any(dim=1), noisy]
-    )
-    assert int(changed.sum(dim=0).max()) == 1
-    counts = [int(kind.sum()) for kind in (*changed, ~changed.any(dim=0))]
-    # Binomial, 7000 draws: 1000 +- 29 of each kind, 2000 +- 38 unchanged; 4.5 of those.
-    np.testing.assert_allclose(counts, [1000, 1000, 1000, 1000, 1000, 2000], atol=171)
-    together = replace(apart, change_fraction=0.0).warp(draws)
-    assert torch.equal(warp.angle_rad[changed[2]], together.angle_rad[changed[2]])
-    assert torch.equal(warp.shift[changed[3]], together.shift[changed[3]])
-    with pytest.raises(ValueError, match="leave channel_noise_fraction at 1"):
-        TrainSettings(change_fraction=0.1, channel_noise_fraction=0.5)
-    without = replace(apart, flip_columns=False, rotation_deg=0.0)
-    assert torch.equal(without.warp(draws).flip_rows, warp.flip_rows)
-    assert not without.warp(draws).flip_columns.any()
-    assert not without.warp(draws).angle_rad.any()
-
-
-def test_a_fraction_of_the_images_gets_the_noise_of_the_channels():
-    channels, draws = torch.zeros(3500, 1, 1, 2), draws_of(3500)
-    noisy = Augmentation(channel_noise_sigma=0.03, channel_noise_fraction=1 / 7).seen(channels, draws)
-    chosen = (noisy != 0).all(dim=(1, 2, 3))
-    assert torch.equal(chosen, (noisy != 0).any(dim=(1, 2, 3)))  # an image as a whole
-    # Binomial: 500 +- sqrt(3500 * 6 / 49) = 21; 4.5 of those.
-    assert abs(int(chosen.sum()) - 500) < 93
-    # 1000 values: the deviation has a relative error of 2.2 %.
-    assert float(noisy[chosen].std()) == pytest.approx(0.03, rel=0.1)
-    everyone = Augmentation(channel_noise_sigma=0.03).seen(channels, draws)
-    assert torch.equal(everyone[chosen], noisy[chosen])
-    nobody = Augmentation(channel_noise_sigma=0.03, channel_noise_fraction=0.0).seen(channels, draws)
-    assert torch.equal(nobody, channels)

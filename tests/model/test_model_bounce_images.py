@@ -12,7 +12,7 @@ from training_runs import assert_same_end, settings
 
 from itof import pixel_rays
 from model.data.corner import wall_view
-from model.data.object_depth import object_depth_m
+from model.data.object_pixels import object_depth_m
 from model.data.shards import open_shards
 from model.network.bounce_images import PLANES, BounceImages, _means
 from model.network.channels import InputSpec
@@ -23,9 +23,9 @@ from model.refinement.light.room import room_of
 from model.refinement.light.solids import Solid
 from model.refinement.light.three_bounces import Bounces
 from model.run_folder.run_config import RunError
-from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.refusals import TrainingError
+from storage import PresetError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 HZ = (20e6, 50e6, 60e6)
@@ -169,7 +169,7 @@ def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
     train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
     predictor, shards, corner = load(tmp_path / "run"), open_shards(dataset), wall_view(dataset)
     inputs, rows = predictor.config.inputs, shards.rows("train")
-    phasor = shards.read(rows).complex_phasors()
+    phasor = shards.read(rows).phasors
     wall = corner.expected_wall(shards.reference, HZ)
     channels = inputs.apply(phasor, inputs.reference_of_image(phasor, wall), is_weighted=True)
     images = predictor.network.images
@@ -194,8 +194,8 @@ def test_fine_tuning_in_another_shape_has_the_images_of_the_new_corner(dataset, 
 
 
 def test_images_need_residual_channels_and_one_corner(tmp_path):
-    with pytest.raises(ValueError, match="bounce_images are made from residual channels"):
-        TrainSettings(channels="paper", bounce_images=True)
+    with pytest.raises(PresetError, match=r"bounce_images goes with .* residual or paper\+residual"):
+        settings(channels="paper", bounce_images=True)
     many = write_synthetic_dataset(
         tmp_path / "many", count=8, camera_spread={"location_m": 0.1, "rotation_deg": 2.0}
     )

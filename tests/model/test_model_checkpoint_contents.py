@@ -148,7 +148,7 @@ def test_a_changed_part_of_a_checkpoint_is_refused(contents, restore):
     restore(contents)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_every_single_change_of_a_checkpoint_is_refused(contents, restore):
     changes = list(mutations(contents))
     assert len(changes) > 800

@@ -1,7 +1,6 @@
 """The expected error of the depth: its loss, its head, its fit, and the way into files and fine-tuning."""
 
 import math
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
-from synthetic_dataset import write_synthetic_dataset
-from training_runs import FLIP, config_of, edit_checkpoint, settings
+from training_runs import FLIP, config_of, settings
 
 from itof import DepthMap, ImageFileError, depth_from_phase, read_image
 from itof.exr.image import write_image
@@ -20,13 +18,12 @@ from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.history import read_history
 from model.run_folder.run_config import RunError
-from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.uncertainty_fit import UncertaintyFactors, UncertaintyFit
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5, has_uncertainty=True)
-PLAIN = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "width": 8, "batch_size": 2, "block": 2}
+PLAIN = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2, "block": 2}
 PLAIN |= {"learning_rate": 2e-3, "mask_threshold": 0.2, "clip_norm": 1.0, "max_epochs": 15}
 UNSURE = PLAIN | {"uncertainty": True}
 
@@ -87,7 +84,7 @@ def test_the_head_finds_which_pixels_have_large_errors():
     rng = torch.Generator().manual_seed(1)
     network = UNet(1, 8, output_channels=2, uncertainty=True, generator=rng)
     adam = torch.optim.Adam(network.parameters(), lr=4e-3)
-    loss = MaskAndDepthLoss(READOUT)
+    loss = MaskAndDepthLoss(READOUT, beta=1.0)
     size, mask = (8, 12, 12), torch.ones(8, 12, 12)
     for _ in range(500):
         spread = torch.rand(8, 1, 1, generator=rng).expand(size)
@@ -147,27 +144,13 @@ def test_expected_errors_are_those_of_the_validation_scenes_on_average(
     unsure_run, closed_form_scenes, shards
 ):
     block = shards.read(shards.rows("validation"))
-    found = load(unsure_run, "cpu").predict(block.complex_phasors())
+    found = load(unsure_run, "cpu").predict(block.phasors)
     on_object = block.mask > 0
     depth_m = depth_from_phase(np.angle(found.phasor) % (2 * np.pi), 20e6)  # also where no object is found
     actual_m = np.abs(depth_m - block.radial_depth_m)[on_object]
     assert np.mean(actual_m / found.depth_error_m[on_object]) == pytest.approx(1, rel=1e-3)
     assert found.depth_error_m.shape == found.mask.shape
     assert found.depth_error_m.dtype == np.float32
-
-
-def test_a_run_of_an_earlier_version_goes_on_by_the_losses_that_it_has(
-    unsure_run, closed_form_scenes, tmp_path
-):
-    run = shutil.copytree(unsure_run, tmp_path / "run")
-    earlier = torch.load(run / "checkpoint.pt", weights_only=True)["history"]
-    for record in earlier:
-        del record["validation_uncertainty"]
-    edit_checkpoint(run, history=earlier)
-    train(closed_form_scenes, run, settings(**UNSURE | {"max_epochs": 16}), resume=True)
-    history = read_history(run)
-    assert len(history["epoch"]) == 16
-    assert "validation_uncertainty" not in history
 
 
 def test_factors_of_several_processes_and_batches_are_those_of_all_pixels():
@@ -199,43 +182,25 @@ def test_factors_of_several_processes_and_batches_are_those_of_all_pixels():
     assert nothing.result(lambda tensor: tensor) == UncertaintyFactors(1.0, 1.0)
 
 
-def test_a_trained_network_gets_a_head_for_its_errors_and_keeps_its_depth(
-    plain_run, closed_form_scenes, tmp_path, shards
-):
-    chosen = UNSURE | {"freeze": "all-but-uncertainty", "max_epochs": 3}
-    others = write_synthetic_dataset(tmp_path / "others", count=12, dataset={"count": 12, "seed": 8})
-    train(others, tmp_path / "run", settings(**chosen), start_from=plain_run)
-    before, now = (load_file(run / "best.safetensors") for run in (plain_run, tmp_path / "run"))
-    # On other scenes, another factor on the logits would fit; the mask keeps its own.
-    assert all(torch.equal(weight, now[name]) for name, weight in before.items())
-    z = open_shards(closed_form_scenes).complex_phasors([0, 1])
-    old, new = (load(run, "cpu").predict(z) for run in (plain_run, tmp_path / "run"))
-    np.testing.assert_array_equal(old.mask, new.mask)
-    np.testing.assert_allclose(old.radial_depth_m, new.radial_depth_m, atol=1e-5)
-    assert old.depth_error_m is None
-    assert (new.depth_error_m > 0).all()
-
-
-def test_the_command_line_adds_the_head_to_a_network_that_has_none(plain_run, closed_form_scenes, tmp_path):
-    frozen = ("--uncertainty", "--freeze", "all-but-uncertainty", "--max-epochs", 1, "--batch-size", 4)
+def test_a_trained_network_gets_a_head_for_its_errors(plain_run, closed_form_scenes, tmp_path):
+    more = ("--set", "target.uncertainty=true", "--max-epochs", 1, "--batch-size", 4)
     done = night_here(
-        *("night-train", closed_form_scenes.root, "--out", tmp_path / "run", "--from", plain_run, *frozen)
+        *("night-train", closed_form_scenes.root, "--out", tmp_path / "run", "--from", plain_run, *more)
     )
     assert done.returncode == 0, done.stderr
-    assert config_of(tmp_path / "run")["settings"]["uncertainty"] is True
-    assert config_of(tmp_path / "run")["settings"]["width"] == 8
+    chosen = config_of(tmp_path / "run")["settings"]
+    assert (chosen["target"]["uncertainty"], chosen["network"]["width"]) == (True, 8)
+    z = open_shards(closed_form_scenes).read([0, 1]).phasors
+    assert load(plain_run, "cpu").predict(z).depth_error_m is None
+    assert (load(tmp_path / "run", "cpu").predict(z).depth_error_m > 0).all()
 
 
-def test_settings_that_do_not_go_together_are_refused(unsure_run, closed_form_scenes, tmp_path):
-    for wrong in ({"uncertainty": True}, PLAIN | {"freeze": "all-but-uncertainty"}):
-        with pytest.raises(ValueError, match=r"uncertainty"):
-            TrainSettings(**{name: value for name, value in wrong.items() if name != "progress"})
-    with pytest.raises(RunError, match=r"uncertainty is False, but .* was trained with True"):
+def test_an_uncertainty_goes_with_mask_and_depth_and_stays(unsure_run, closed_form_scenes, tmp_path):
+    with pytest.raises(RunError, match=r"target.uncertainty is False, but .* was trained with True"):
         train(closed_form_scenes, tmp_path / "run", settings(**PLAIN), start_from=unsure_run)
-    sentence = refusal("night-train", closed_form_scenes.root, "--out", tmp_path / "x", "--uncertainty",
-                       "--preset", "known-wall")  # fmt: skip
-    assert "uncertainty" in sentence
-    assert "target mask+depth" in sentence
+    sentence = refusal("night-train", closed_form_scenes.root, "--out", tmp_path / "x", "--preset",
+                       "known-wall", "--set", "target.uncertainty=true")  # fmt: skip
+    assert "target.uncertainty goes with target.kind mask+depth, and it is components" in sentence
 
 
 def test_a_prediction_has_the_expected_error_in_its_files(unsure_run, plain_run, exr, tmp_path):

@@ -9,13 +9,13 @@ from night_commands import night_here, refusal
 from training_runs import FLIP, assert_same_end, config_of, settings
 
 from itof import DepthMap, phasor_of_return
-from model.network.loss import NightLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.network.readout import Readout
+from model.paper.loss import NightLoss
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
-from model.settings import TrainSettings
 from model.training.loop import train
+from storage import PresetError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 DIRECT = Readout(20e6, target="depth", mask_from="depth")
@@ -75,7 +75,7 @@ def test_a_trained_baseline_beats_no_object_in_overlap(direct_run, shards):
     predictor = load(direct_run, "cpu")
     assert predictor.network.head[-1].out_channels == 1
     block = shards.read(shards.rows("train"))
-    found = predictor.predict(block.complex_phasors(), shards.reference)
+    found = predictor.predict(block.phasors, shards.reference)
     images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
     own = summarise([image_metrics(*image) for image in images])
     empty = summarise([no_object_metrics(*p) for p in zip(block.radial_depth_m, block.mask, strict=True)])
@@ -122,7 +122,7 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
     (file,) = (tmp_path / "maps").glob("*.exr")
     written = DepthMap.read(file)
     predictor = load(direct_run, "cpu")
-    expected = predictor.predict(shards.complex_phasors([0]))[0]
+    expected = predictor.predict(shards.read([0]).phasors)[0]
     np.testing.assert_allclose(written.radial_depth_m, expected.radial_depth_m, atol=1e-5)
     assert np.array_equal(written.mask, expected.mask)
 
@@ -130,7 +130,7 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
     done = night_here("night-eval", "export", direct_run, "--out", model)
     assert done.returncode == 0, done.stderr
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
-    channels = predictor.config.inputs.apply(shards.complex_phasors([0]), predictor.reference)
+    channels = predictor.config.inputs.apply(shards.read([0]).phasors, predictor.reference)
     (output,) = session.run(["radial_depth_m"], {"channels": channels})
     with torch.no_grad():
         ours = predictor.network(torch.from_numpy(channels))
@@ -139,10 +139,10 @@ def test_the_commands_take_a_baseline(direct_run, closed_form_scenes, exr, tmp_p
 
 
 def test_what_contradicts_a_baseline_is_refused(direct_run, seeing_run, closed_form_scenes, tmp_path):
-    with pytest.raises(ValueError, match=r"loss mae\+lovasz needs an amplitude"):
-        TrainSettings(target="depth", loss="mae+lovasz")
+    with pytest.raises(PresetError, match=r"target\.loss must be 'mae', 'mse', 'mae\+iou' or 'mse\+iou'"):
+        settings(target="depth", loss="mae+lovasz")
     with pytest.raises(ValueError, match="has no amplitude"):
         Readout(20e6, target="depth")
-    with pytest.raises(RunError, match=r"target is depth, but .* was trained with components"):
+    with pytest.raises(RunError, match=r"target.kind is depth, but .* was trained with components"):
         train(closed_form_scenes, tmp_path / "run", settings(**COURSE), start_from=seeing_run)
-    assert config_of(direct_run)["settings"]["target"] == "depth"
+    assert config_of(direct_run)["settings"]["target"]["kind"] == "depth"

@@ -9,16 +9,16 @@ import torch
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, before_each_network, checkpoint, config_of, settings
 
-from model.data.augmentation import KINDS, UNCHANGED, Augmentation
-from model.data.enlarged_set import EnlargedSet
 from model.data.feed import Feed
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
-from model.settings import TrainSettings
+from model.paper.augmentation import KINDS, UNCHANGED, PaperAugmentation
+from model.paper.enlarged_set import EnlargedSet
 from model.training.loop import train
+from model.training.step import augmentation_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-PAPER = Augmentation(
+PAPER = PaperAugmentation(
     flip_rows=True, flip_columns=True, rotation_deg=180, translation=0.2, channel_noise_sigma=1.0
 )
 ROWS = tuple(range(100, 860 + 100))
@@ -110,8 +110,8 @@ def test_a_training_that_was_stopped_in_an_epoch_ends_as_an_uninterrupted_one(in
     course = settings(**COPIES, checkpoint_minutes=0.0)
     whole, run, batches = tmp_path / "whole", tmp_path / "run", []
     end = train(in_pieces, whole, course, memory_bytes=8 * ROW_BYTES)
-    samples = len(in_pieces.ids("train")) + 5 * len(Augmentation.of(course).kinds)
-    batches_an_epoch = -(-samples // course.batch_size)
+    samples = len(in_pieces.ids("train")) + 5 * len(augmentation_of(course.augmentation).kinds)
+    batches_an_epoch = -(-samples // course.optimiser.batch_size)
 
     def stop(network):
         batches.append(network.training)
@@ -124,17 +124,7 @@ def test_a_training_that_was_stopped_in_an_epoch_ends_as_an_uninterrupted_one(in
     assert (len(state["history"]), state["position"]["batches"]) == (1, 2)
     assert train(in_pieces, run, course, resume=True, memory_bytes=8 * ROW_BYTES) == end
     assert_same_end(run, whole)
-    assert config_of(run)["settings"]["copies_per_change"] == 5
+    assert config_of(run)["settings"]["augmentation"]["paper"]["copies_per_change"] == 5
     anew = tmp_path / "anew"
     train(in_pieces, anew, settings(max_epochs=2), memory_bytes=8 * ROW_BYTES)
     assert (anew / "history.csv").read_bytes() != (whole / "history.csv").read_bytes()
-
-
-def test_settings_that_contradict_the_copies_are_refused():
-    for other in ({"change_fraction": 0.1}, {"channel_noise_fraction": 0.5}):
-        with pytest.raises(ValueError, match="copies_per_change says how many images get each change"):
-            TrainSettings(copies_per_change=2, **other)
-    with pytest.raises(ValueError, match="needs a change to make"):
-        TrainSettings(copies_per_change=2, flip_rows=False)
-    with pytest.raises(ValueError, match="needs mask_from depth"):
-        TrainSettings(mask_gradient="depth")

@@ -6,7 +6,6 @@ import shutil
 
 import numpy as np
 import pytest
-import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
 from synthetic_dataset import write_synthetic_dataset
@@ -65,12 +64,12 @@ def test_steps_of_no_length_leave_the_predictions_as_they_are_also_at_another_im
         assert before.keys() == now.keys()
         # Two steps of Adam, each at most a learning rate long; only weights that are 0 can show them.
         assert max(float((now[key] - weight).abs().max()) for key, weight in before.items()) <= 4e-30
-    phasors = open_shards(closed_form_scenes).complex_phasors([0, 1])
+    phasors = open_shards(closed_form_scenes).read([0, 1]).phasors
     old, new = (load(run, "cpu").predict(phasors) for run in (seeing_run, tmp_path / "same"))
     assert old.mask.any()
     for name in ("radial_depth_m", "mask", "phasor"):
         np.testing.assert_array_equal(getattr(new, name), getattr(old, name))
-    assert load(tmp_path / "wider", "cpu").predict(open_shards(wider).complex_phasors([0])).mask.shape == (
+    assert load(tmp_path / "wider", "cpu").predict(open_shards(wider).read([0]).phasors).mask.shape == (
         *(1, 20, 36),
     )
 
@@ -103,19 +102,8 @@ def test_the_id_depends_on_the_weights_of_the_start_and_not_on_its_name(seeing_c
     assert ids[0] == ids[1] != read_config(tmp_path / "2").run_id
 
 
-@pytest.mark.parametrize("layers", ["encoder", pytest.param("all-but-head", marks=pytest.mark.long)])
-def test_frozen_layers_keep_every_bit_and_the_others_learn(seeing_run, wider, tmp_path, layers):
-    run = tmp_path / "run"
-    train(wider, run, fine(freeze=layers, ema_decay=0.3, clip_norm=1.0, max_epochs=2), start_from=seeing_run)
-    before, now = load_file(seeing_run / "best.safetensors"), load_file(run / "best.safetensors")
-    same = {name for name, weight in before.items() if torch.equal(weight, now[name])}
-    assert same == {name for name in before if name.startswith(FROZEN[layers])}
-    checkpoint = torch.load(run / "checkpoint.pt", weights_only=True)["network"]
-    assert all(torch.equal(checkpoint[name], before[name]) for name in same)
-
-
 def test_a_resumed_run_needs_its_start_no_more_and_ends_as_if_uninterrupted(seeing_copy, wider, tmp_path):
-    chosen = {"freeze": "encoder", "ema_decay": 0.9, "flip_rows": True}
+    chosen = {"ema_decay": 0.9, "flip_rows": True}
     train(wider, tmp_path / "whole", fine(max_epochs=2, **chosen), start_from=seeing_copy)
     killed = []
 
@@ -185,45 +173,37 @@ def test_the_command_takes_the_network_of_the_start_and_the_training_of_the_pres
     out = tmp_path / "run"
     quick = ("--max-epochs", 1, "--device", "cpu", "--no-progress")
     start = ("night-train", wider.root, "--out", out, "--from", seeing_copy)
-    done = night_here(*start, *quick, "--freeze", "encoder", "--json")
+    done = night_here(*start, *quick, "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["epochs"] == 1
     chosen = config_of(out)["settings"]
-    assert (chosen["width"], chosen["mask_threshold"], chosen["frequencies_hz"]) == (
-        8,
-        0.4,
-        [20e6, 50e6, 60e6],
-    )
-    assert (chosen["batch_size"], chosen["learning_rate"], chosen["freeze"]) == (16, 1e-3, "encoder")
+    assert (chosen["network"]["width"], chosen["target"]["mask_threshold"]) == (8, 0.4)
+    assert chosen["input"]["frequencies_hz"] == [20e6, 50e6, 60e6]
+    optimiser = chosen["optimiser"]
+    assert (optimiser["batch_size"], optimiser["learning_rate"], optimiser["algorithm"]) == (16, 1e-3, "adam")
     done = night_here("night-train", wider.root, "--out", out, "--resume", "--max-epochs", 1)
     assert done.returncode == 0, done.stderr
     for given, sentence in (
-        (("--block", 0), r"block is 0, but .* was trained with 1"),
-        (("--width", 16), r"width is 16, but .* was trained with 8"),
-        (("--channels", "paper"), r"channels is paper, but .* was trained with paper\+residual"),
-        (("--frequencies", "20"), r"frequencies_hz is \(20000000.0,\), but"),
+        (("--block", 0), r"network.block is 0, but .* was trained with 1"),
+        (("--width", 16), r"network.width is 16, but .* was trained with 8"),
+        (("--channels", "paper"), r"input.channels.kind is paper, but .* was trained with paper\+residual"),
+        (("--frequencies", "20"), r"input.frequencies_hz is \(20000000.0,\), but"),
         (("--resume",), "--from begins a new run, and --resume goes on with one"),
     ):
         said = refusal("night-train", wider.root, "--out", tmp_path / "no", "--from", seeing_copy, *given)
         assert re.search(sentence, said), said
-    assert "begins with random weights" in refusal(
-        "night-train", wider.root, "--out", tmp_path / "no", "--freeze", "encoder"
-    )
     assert not (tmp_path / "no").exists()
 
 
 def test_python_has_the_same_refusals(seeing_run, finished_copy, wider, tmp_path_factory):
     tmp_path = tmp_path_factory.mktemp("refused")
     inherited = model.fine_tuning_settings(seeing_run)
-    assert (inherited["width"], inherited["frequencies_hz"]) == (8, (20e6, 50e6, 60e6))
-    preset = model.training_preset("default")[0]
-    assert (preset["optimiser"], (preset | inherited)["optimiser"]) == ("muon", "adam")  # that of the run
-    with pytest.raises(RunError, match="width is 2, but"):
+    assert (inherited["network"]["width"], inherited["input"]["frequencies_hz"]) == (8, [20e6, 50e6, 60e6])
+    assert inherited["optimiser"] == {"algorithm": "adam"}  # that of the run
+    with pytest.raises(RunError, match=r"network\.width is 2, but"):
         train(wider, tmp_path / "run", settings(), start_from=seeing_run)
     with pytest.raises(RunError, match="leave out resume or start_from"):
         train(wider, finished_copy, settings(), resume=True, start_from=seeing_run)
-    with pytest.raises(TrainingError, match="freeze encoder keeps layers of a trained run"):
-        train(wider, tmp_path / "run", fine(freeze="encoder"))
 
 
 def test_a_dataset_at_other_frequencies_is_refused(seeing_run, tmp_path):
@@ -238,11 +218,8 @@ def test_a_dataset_at_other_frequencies_is_refused(seeing_run, tmp_path):
 
 
 @pytest.mark.long
-def test_two_processes_start_from_a_trained_network_and_keep_its_frozen_layers(seeing_run, wider, tmp_path):
+def test_two_processes_start_from_a_trained_network(seeing_run, wider, tmp_path):
     run = tmp_path / "run"
-    changes = SEEING | {"max_epochs": 1, "freeze": "encoder"}
-    process = start(wider, run, "--from", seeing_run, launcher=TORCHRUN, **changes)
+    process = start(wider, run, "--from", seeing_run, launcher=TORCHRUN, **SEEING | {"max_epochs": 1})
     assert process.wait() == 0, errors_of(run).read_text()
-    before, now = load_file(seeing_run / "best.safetensors"), load_file(run / "best.safetensors")
-    same = {name for name, weight in before.items() if torch.equal(weight, now[name])}
-    assert same == {name for name in before if name.startswith("encoder.")}
+    assert config_of(run)["started_from"]["run_id"] == read_config(seeing_run).run_id

@@ -12,7 +12,7 @@ from model.training.finer_pixels import with_finer_pixels
 from model.training.loop import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-PROBABLE = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "uncertainty": True, "width": 4}
+PROBABLE = FLIP | {"target": "mask+depth", "uncertainty": True, "width": 4}
 
 
 def finer(image, times):
@@ -60,6 +60,6 @@ def test_a_training_begins_with_the_network_of_a_run_with_smaller_blocks(closed_
     for name, weight in network.state_dict().items():
         last = name.startswith(("head.7", "uncertainty_head.5"))  # scaled after each epoch
         assert last or torch.allclose(weight, expected[name], rtol=0, atol=1e-20), name
-    assert load(tmp_path / "finer", "cpu").config.settings.block == 2
+    assert load(tmp_path / "finer", "cpu").config.settings.network.block == 2
     with pytest.raises(RunError, match=r"block is 1, but .* was trained with 2.* a multiple of 2"):
         train(many, tmp_path / "no", settings(**PROBABLE, block=1), start_from=tmp_path / "finer")

@@ -13,9 +13,9 @@ from training_runs import FLIP, settings
 from itof import phasor_of_return
 from model.data.shards import open_shards
 from model.judging.evaluation import evaluate
-from model.network.loss import NightLoss
 from model.network.metrics import image_metrics
 from model.network.readout import Readout
+from model.paper.loss import NightLoss
 from model.training.loop import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")

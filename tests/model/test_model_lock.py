@@ -61,7 +61,7 @@ def in_a_child(action):
     if child == 0:
         action()
         os.write(writer, b"x")
-        time.sleep(60)
+        time.sleep(600)
         os._exit(1)
     assert os.read(reader, 1) == b"x"
     os.close(reader)
@@ -117,8 +117,9 @@ def test_the_name_in_a_lock_file_is_not_printed_if_it_is_no_name(tmp_path):
 
 
 @pytest.mark.long
-def test_of_trainings_that_start_into_one_folder_exactly_one_goes_on(closed_form_scenes, tmp_path):
-    for attempt in range(3):
+@pytest.mark.parametrize("attempts", [1, pytest.param(5, marks=pytest.mark.thorough)])
+def test_of_trainings_that_start_into_one_folder_exactly_one_goes_on(closed_form_scenes, tmp_path, attempts):
+    for attempt in range(attempts):
         run = tmp_path / f"run{attempt}"
         processes = [start(closed_form_scenes, run, max_epochs=2) for _ in range(3)]
         codes = sorted(process.wait() for process in processes)

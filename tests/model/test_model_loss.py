@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from itof import depth_from_phase, phase, phasor_of_return
-from model.network.loss import NightLoss, intersection_over_union
 from model.network.readout import Readout
+from model.paper.loss import NightLoss, intersection_over_union
 
 READOUT = Readout(20e6)
 BY_DEPTH = Readout(20e6, mask_from="depth")
@@ -276,7 +276,7 @@ def test_the_gradient_of_a_depth_whose_mask_is_its_own_is_that_of_the_phase_ever
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["mae+iou", "mae+lovasz"])
+@pytest.mark.parametrize("name", ["mae+iou", pytest.param("mae+lovasz", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("variant", ["components", "depth"])
 def test_descent_with_a_mask_of_the_depth_finds_the_object_and_stays_at_its_depth(variant, name):
     target, depth_m, mask = truth(one_object().repeat(2, 1, 1))

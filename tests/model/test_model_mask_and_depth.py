@@ -13,20 +13,18 @@ from torch.nn import functional
 from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
 
 from itof import phasor_of_return, read_image, write_image
-from model.data.class_balance import BalanceError
-from model.data.object_depth import LEAST_SPREAD_M, object_depth_m
+from model.data.object_pixels import LEAST_SPREAD_M, BalanceError, object_depth_m
 from model.data.rows import RowBlock
 from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config
-from model.settings import TrainSettings
 from model.training.loop import train
 from model.training.refusals import TrainingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5)
-COURSE = FLIP | {"target": "mask+depth", "loss": "bce+iou+depth", "width": 8, "batch_size": 2}
+COURSE = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2}
 COURSE |= {"learning_rate": 2e-3, "average_flip": True, "mask_threshold": 0.2, "block": 2}
 
 
@@ -114,14 +112,14 @@ def test_the_constants_of_the_depth_are_those_of_the_training_scenes(run, shards
 
 def test_a_trained_network_beats_no_object_and_averages_mirror_images(run, shards):
     predictor, block = load(run, "cpu"), shards.read(shards.rows("train"))
-    found = predictor.predict(block.complex_phasors())
+    found = predictor.predict(block.phasors)
     images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
     own = summarise([image_metrics(*image) for image in images])
     empty = summarise([no_object_metrics(*p) for p in zip(block.radial_depth_m, block.mask, strict=True)])
     assert own.miou.mean > empty.miou.mean
     np.testing.assert_allclose(np.abs(found.phasor) >= 0.2, found.mask)
     # The wall of these scenes is symmetric about the camera's height.
-    upside_down = predictor.predict(block.complex_phasors()[:, ::-1]).phasor[:, ::-1]
+    upside_down = predictor.predict(block.phasors[:, ::-1]).phasor[:, ::-1]
     np.testing.assert_allclose(upside_down, found.phasor, atol=1e-4)
 
 
@@ -149,16 +147,13 @@ def test_the_commands_take_such_a_run(run, closed_form_scenes, tmp_path, shards)
     assert done.returncode == 0, done.stderr
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     predictor = load(run, "cpu")
-    channels = predictor.config.inputs.apply(shards.complex_phasors([0]), predictor.reference)
+    channels = predictor.config.inputs.apply(shards.read([0]).phasors, predictor.reference)
     (output,) = session.run(["logit_and_depth"], {"channels": channels})
     with torch.no_grad():
         np.testing.assert_allclose(output, predictor.network(torch.from_numpy(channels)), atol=1e-4)
 
 
-def test_what_contradicts_the_target_is_refused(run, tmp_path):
-    for wrong in ({"target": "mask+depth"}, {"loss": "bce+iou+depth"}):
-        with pytest.raises(ValueError, match=r"target mask.depth and loss bce.iou.depth go together"):
-            TrainSettings(**wrong)
+def test_a_run_that_lost_the_depth_of_its_objects_is_refused(run, tmp_path):
     assert config_of(run)["object_depth_m"]
     edit_config(run, object_depth_m=None)
     with pytest.raises(RunError, match=r"needs object_depth_m"):

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 import torch
+import training_runs
 
 from model.network.unet import UNet
-from model.settings import TrainSettings
+from model.settings.train_settings import TrainSettings
 from model.training.loss_watch import LossError, LossWatch
 from model.training.optimisation import Optimisation, epochs_without_improvement, learning_rate
 
@@ -15,7 +16,11 @@ CPU = torch.device("cpu")
 
 
 def settings(**changes) -> TrainSettings:
-    return TrainSettings(**({"width": 2, "learning_rate": 1e-2, "max_epochs": 11} | changes))
+    return training_runs.settings(**({"learning_rate": 1e-2, "max_epochs": 11} | changes))
+
+
+def rate_of(chosen: TrainSettings, step: int, steps_per_epoch: int) -> float:
+    return learning_rate(chosen.optimiser, step, steps_per_epoch, chosen.run.max_epochs)
 
 
 def network() -> UNet:
@@ -32,23 +37,23 @@ def flat(net: UNet) -> torch.Tensor:
 
 
 def test_a_constant_rate_stays():
-    assert {learning_rate(settings(), step, 4) for step in (0, 1, 43, 500)} == {1e-2}
+    assert {rate_of(settings(), step, 4) for step in (0, 1, 43, 500)} == {1e-2}
 
 
 def test_the_rate_warms_up_linearly_and_falls_as_half_a_cosine():
     both = settings(schedule="cosine", warm_up_epochs=1.0)
-    rates = [learning_rate(both, step, 12) for step in range(12 * 11 + 1)]  # twelve steps an epoch
+    rates = [rate_of(both, step, 12) for step in range(12 * 11 + 1)]  # twelve steps an epoch
     assert rates[:12] == pytest.approx([1e-2 * (step + 1) / 12 for step in range(12)])
     assert rates[12] == pytest.approx(1e-2)
     assert rates[12 * 6] == pytest.approx(0.5e-2)  # half way from 1 to 11
     assert rates[12 + 40] == pytest.approx(0.75e-2)  # a third of the way: cos 60 degrees
     assert rates[-2] > 0  # the last step
     assert rates[-1] == pytest.approx(0, abs=1e-12)
-    assert learning_rate(both, 10_000, 12) == pytest.approx(0, abs=1e-12)
+    assert rate_of(both, 10_000, 12) == pytest.approx(0, abs=1e-12)
 
 
 def test_a_run_of_a_single_step_learns():
-    assert learning_rate(settings(schedule="cosine", max_epochs=1), 0, 1) == pytest.approx(1e-2)
+    assert rate_of(settings(schedule="cosine", max_epochs=1), 0, 1) == pytest.approx(1e-2)
 
 
 def test_the_first_step_of_adam_is_one_learning_rate_long_in_every_weight():

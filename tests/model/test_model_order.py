@@ -7,8 +7,7 @@ import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
 
-from model.data.feed import Feed, window_rows
-from model.data.order import rows_by_piece, shuffled_windows, windows_in_order
+from model.data.feed import Feed, rows_by_piece, shuffled_windows, window_rows, windows_in_order
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
 from storage.machine_memory import machine_bytes

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 import torch
 from synthetic_dataset import edit_image, write_synthetic_dataset
-from training_runs import assert_same_end, config_of, edit_config, edit_settings, settings
+from training_runs import as_tables, assert_same_end, config_of, edit_config, edit_settings, settings
 
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
 from model.network.metrics import image_metrics
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config
-from model.settings import TrainSettings, settings_from_dict, training_preset
+from model.settings.keys import merged
+from model.settings.presets import training_preset
+from model.settings.train_settings import TrainSettings, flat_settings, settings_from_dict
 from model.training.loop import train
 from model.training.refusals import TrainingError
 
@@ -23,7 +25,9 @@ FEW_COPIES = {"copies_per_change": 1}  # as there are few scenes
 
 
 def paper(**changes) -> TrainSettings:
-    return settings_from_dict(training_preset("paper")[0] | SMALL | FEW_COPIES | changes, "paper")
+    return settings_from_dict(
+        merged(training_preset("paper")[0], as_tables(**(SMALL | FEW_COPIES | changes))), "paper"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -34,24 +38,44 @@ def paper_run(closed_form_scenes, tmp_path_factory):
 
 
 def test_the_preset_of_the_paper_has_the_numbers_of_text_and_released_code():
-    chosen = settings_from_dict(training_preset("paper")[0], "paper")
-    assert (chosen.channel_noise_sigma, chosen.noise_sigma) == (1.0, 0.0)
-    assert (chosen.copies_per_change, chosen.change_fraction) == (403, 0.0)
-    assert (chosen.flip_rows, chosen.flip_columns) == (True, True)
-    assert (chosen.rotation_deg, chosen.translation) == (180, 0.2)
-    assert (chosen.loss, chosen.loss_on, chosen.balance, chosen.alpha) == (
-        *("mae+iou", "components", "dataset", 1 / 7),
-    )
-    assert (chosen.max_epochs, chosen.patience, chosen.min_delta) == (1500, 150, 0.015)
-    assert (chosen.mask_from, chosen.dead_zone, chosen.amplitude_divisor) == ("depth", 0.05, "maximum")
-    assert (chosen.width, chosen.batch_size, chosen.learning_rate) == (32, 32, 1e-4)
-    assert (chosen.schedule, chosen.warm_up_epochs) == ("constant", 0)
+    chosen = flat_settings(settings_from_dict(training_preset("paper")[0], "paper"))
+    numbers = {
+        "input.channels.kind": "paper",
+        "input.channels.amplitude_divisor": "maximum",
+        "network.width": 32,
+        "network.levels": 5,
+        "network.negative_slope": 0,
+        "network.block": 1,
+        "target.kind": "components",
+        "target.loss": "mae+iou",
+        "target.loss_on": "components",
+        "target.balance": "dataset",
+        "target.alpha": 1 / 7,
+        "target.mask_from": "depth",
+        "target.dead_zone": 0.05,
+        "optimiser.algorithm": "adam",
+        "optimiser.learning_rate": 1e-4,
+        "optimiser.batch_size": 32,
+        "optimiser.schedule": "constant",
+        "optimiser.warm_up_epochs": 0,
+        "augmentation.flip_rows": True,
+        "augmentation.noise_sigma": 0,
+        "augmentation.paper.flip_columns": True,
+        "augmentation.paper.rotation_deg": 180,
+        "augmentation.paper.translation": 0.2,
+        "augmentation.paper.channel_noise_sigma": 1,
+        "augmentation.paper.copies_per_change": 403,
+        "run.max_epochs": 1500,
+        "run.patience": 150,
+        "run.min_delta": 0.015,
+    }
+    assert {key: chosen[key] for key in numbers} == numbers
 
 
 def test_the_run_records_the_ratio_and_the_amplitude_of_its_training_scenes(paper_run, shards):
     block = shards.read(shards.rows("train"))
     truth = block.mask > 0
-    amplitude = np.abs(block.complex_phasors()[..., 0])
+    amplitude = np.abs(block.phasors[..., 0])
     config = read_config(paper_run)
     assert config.background_per_object == (~truth).sum() / truth.sum()
     everything = (
@@ -77,11 +101,11 @@ def test_a_resumed_run_keeps_the_recorded_ratio_and_ends_as_if_uninterrupted(
     train(closed_form_scenes, whole, paper(max_epochs=3))
     losses = [(folder / "history.csv").read_text().splitlines()[-1].split(",")[2] for folder in (run, whole)]
     assert losses[0] != losses[1]
-    with pytest.raises(RunError, match="balance was dataset and is now image"):
+    with pytest.raises(RunError, match=r"target\.balance was dataset and is now image"):
         train(closed_form_scenes, run, paper(max_epochs=3, balance="image"), resume=True)
     other = tmp_path / "other"
     train(closed_form_scenes, other, settings(max_epochs=1))
-    with pytest.raises(RunError, match="balance was image and is now dataset"):
+    with pytest.raises(RunError, match=r"target\.balance was image and is now dataset"):
         train(closed_form_scenes, other, settings(max_epochs=1, balance="dataset"), resume=True)
 
 
@@ -103,29 +127,8 @@ def test_training_scenes_of_one_class_alone_are_refused_in_one_sentence(tmp_path
             mask_M=lambda mask: np.full_like(mask, value),
             depth_R=lambda depth: np.full_like(depth, 3 * value),
         )
-    with pytest.raises(TrainingError, match=f"shows {seen}: train with --balance image"):
+    with pytest.raises(TrainingError, match=f"shows {seen}: train with target.balance image"):
         train(dataset, tmp_path / "run", paper(max_epochs=1))
-
-
-def test_run_files_of_before_these_settings_predict_as_before(closed_form_scenes, shards, tmp_path):
-    run = tmp_path / "run"
-    train(closed_form_scenes, run, settings(max_epochs=1))
-    phasors = shards.complex_phasors(shards.rows("test"))
-    now = load(run, "cpu").predict(phasors)
-    known = config_of(run)
-    new = {
-        *("amplitude_divisor", "balance", "mask_from", "mask_depth_m"),
-        *("channel_noise_sigma", "channel_noise_fraction", "change_fraction"),
-        *("copies_per_change", "mask_gradient"),
-    }
-    assert new <= known["settings"].keys()
-    edit_config(run, settings={k: v for k, v in known["settings"].items() if k not in new})
-    before = load(run, "cpu")
-    assert before.config.settings == settings(max_epochs=1)
-    then = before.predict(phasors)
-    for name in ("radial_depth_m", "mask", "phasor"):
-        np.testing.assert_array_equal(getattr(then, name), getattr(now, name))
-    train(closed_form_scenes, run, settings(max_epochs=2), resume=True)
 
 
 @pytest.mark.long
@@ -134,7 +137,7 @@ def test_a_run_can_be_judged_by_masks_of_the_depth_and_of_the_amplitude(
 ):
     shards = open_shards(closed_form_scenes)
     block = shards.read(shards.rows("test"))
-    output = load(paper_run, "cpu").predict(block.complex_phasors(), shards.reference).phasor
+    output = load(paper_run, "cpu").predict(block.phasors, shards.reference).phasor
     phase = np.angle(output) % (2 * np.pi)
     everywhere_m = phase * load(paper_run, "cpu").config.readout.metres_per_radian
     masks = {"depth": everywhere_m > 0, "amplitude": np.abs(output) >= 0.5}

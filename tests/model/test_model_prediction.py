@@ -28,7 +28,7 @@ def contents(folder):
 
 def test_a_rendered_measurement_predicts_what_the_evaluation_predicts(seeing_run, exr, shards, tmp_path):
     (image,) = predict(seeing_run, exr, tmp_path / "out").images
-    expected = load(seeing_run, "cpu").predict(shards.complex_phasors([0]), shards.reference)[0]
+    expected = load(seeing_run, "cpu").predict(shards.read([0]).phasors, shards.reference)[0]
     found = written(tmp_path / "out")
     np.testing.assert_array_equal(found.radial_depth_m, expected.radial_depth_m)
     np.testing.assert_array_equal(found.mask, expected.mask)
@@ -128,7 +128,7 @@ def test_a_network_of_some_frequencies_takes_them_from_the_file_and_keeps_the_tr
     train(closed_form_scenes, tmp_path / "run", settings(max_epochs=1, frequencies_hz=FREQUENCIES_HZ[1:]))
     some = load(tmp_path / "run", "cpu")
     np.testing.assert_array_equal(some.reference, shards.reference[..., 1:])
-    expected = some.predict(shards.complex_phasors([0])[..., 1:])
+    expected = some.predict(shards.read([0]).phasors[..., 1:])
     predict(tmp_path / "run", exr, tmp_path / "out")
     np.testing.assert_array_equal(written(tmp_path / "out").phasor, expected.phasor[0])
 

@@ -16,7 +16,7 @@ from model.training.processes import Processes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
-ENDLESS = 400  # epochs, of which a test waits for the first
+ENDLESS = 10_000  # epochs, of which a test waits for the first
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_shares_of_a_batch_are_all_of_it_once_and_the_lent_row_counts_nothing(co
         pytest.param({"batch_size": 4}, marks=pytest.mark.thorough),
         pytest.param({"copies_per_change": 3}, marks=pytest.mark.thorough),
         {"bounce_images": True},
-        {"optimiser": "muon"},
+        pytest.param({"optimiser": "muon"}, marks=pytest.mark.thorough),
     ],
     ids=lambda special: next(f"{name}={value}" for name, value in special.items()),
 )
@@ -104,7 +104,7 @@ def test_two_processes_stop_together_when_one_is_asked_to_and_go_on(dataset, sta
     assert len(checkpoint(run)["history"]) == changes["max_epochs"]
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_two_processes_whose_launcher_is_stopped_go_on_to_the_same_weights(dataset, tmp_path):
     run, changes = tmp_path / "run", {"max_epochs": ENDLESS, "batch_size": 2}
     process = start(dataset, run, launcher=TORCHRUN, **changes)
@@ -132,7 +132,7 @@ def test_a_process_ends_as_its_signal_says_and_the_run_goes_on_to_the_same_weigh
     assert_same_end(run, tmp_path / "whole")
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler (Debian: g++)")
 def test_a_compiled_network_trains_as_the_plain_one(dataset, tmp_path):
     compiled, small = (

@@ -16,7 +16,7 @@ from model.prediction.expected_error import expected_mae_m
 from model.prediction.predictor import load
 
 FREQUENCY_HZ = 20e6
-PROBABLE = {"target": "mask+depth", "loss": "bce+iou+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
+PROBABLE = {"target": "mask+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -68,7 +68,7 @@ def test_the_report_of_a_network_with_probabilities_has_them(closed_form_scenes,
     assert sum(content["reliability"]["pixels"]) == block.mask.size
     shown = np.dot(content["reliability"]["pixels"], content["reliability"]["observed"])
     assert shown == pytest.approx(block.mask.sum())
-    predictions = load(run, "cpu").predict(block.complex_phasors())
+    predictions = load(run, "cpu").predict(block.phasors)
     with (tmp_path / "report" / "metrics.csv").open(newline="") as stream:
         found = [float(line["expected_mae_m"]) for line in csv.DictReader(stream)]
     np.testing.assert_allclose(found, [expected_mae_m(predictions[i]) for i in range(len(found))], rtol=1e-5)
@@ -112,7 +112,7 @@ def test_the_report_of_a_network_with_uncertainty_has_the_errors(closed_form_sce
     )
     found = json.loads((tmp_path / "report" / "metrics.json").read_text())["depth_reliability"]
     block = shards.read(shards.rows("train"))
-    prediction = load(run, "cpu").predict(block.complex_phasors())
+    prediction = load(run, "cpu").predict(block.phasors)
     on_object = prediction.mask & (block.mask > 0)
     assert sum(found["pixels"]) == on_object.sum() > 0
     assert found["mean_expected_m"] == pytest.approx(prediction.depth_error_m[on_object].mean(), rel=1e-5)

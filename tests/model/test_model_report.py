@@ -18,7 +18,6 @@ from model.judging.report.charts import training_curves
 from model.network.metrics import image_metrics
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
-from model.settings import TrainSettings
 from model.training.loop import train
 from scenegen import open_dataset
 
@@ -36,7 +35,7 @@ def dataset(tmp_path_factory):
 def run(dataset, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     learning = {"width": 4, "batch_size": 4, "max_epochs": 2, "learning_rate": 2e-3, "dead_zone": 0.02}
-    train(dataset, folder, TrainSettings(**learning, progress=False, device="cpu"))
+    train(dataset, folder, training_runs.settings(**learning, **training_runs.FLIP))
     return folder
 
 
@@ -121,12 +120,12 @@ def test_without_validation_scenes_only_the_judged_split_is_swept(run, dataset, 
 @pytest.mark.long
 def test_a_run_at_one_frequency_is_judged_on_a_dataset_of_three(dataset, tmp_path):
     learning = {"width": 2, "batch_size": 4, "max_epochs": 1, "frequencies_hz": (50e6,)}
-    train(dataset, tmp_path / "run", TrainSettings(**learning, progress=False, device="cpu"))
+    train(dataset, tmp_path / "run", training_runs.settings(**learning, **training_runs.FLIP))
     report = evaluate(tmp_path / "run", dataset, tmp_path / "report", device="cpu", progress=False)
     shards = open_shards(dataset)
     block = shards.read(shards.rows("test"))
     seen = load(tmp_path / "run", "cpu").predict(
-        block.complex_phasors()[..., 1:2],
+        block.phasors[..., 1:2],
         shards.reference[..., 1:2],  # 20, *50*, 60 MHz
     )
     views = zip(seen.radial_depth_m, seen.mask, block.radial_depth_m, block.mask, strict=True)
@@ -194,9 +193,8 @@ def test_a_history_with_gaps_and_missing_columns_still_makes_charts():
     losses, uncertainty = [0.5, 0.6, 0.9], [0.1, 0.4, 0.8]
     trained = {"epoch": [1.0, 2.0, 3.0], "train_loss": losses, "validation_loss": losses}
     trained["validation_uncertainty"] = uncertainty
-    for alone, kept in ((False, 3), (True, 1)):
-        (compared,) = training_curves(trained, of_uncertainty=alone)
-        assert compared.parts[-1].name == f"kept: epoch {kept}"
+    (compared,) = training_curves(trained)
+    assert compared.parts[-1].name == "kept: epoch 3"
     (bare,) = training_curves({"epoch": [1.0], "validation_miou": [0.5]})  # one epoch, nothing to name
     assert [(part.name, part.style) for part in bare.parts] == [("", "dots")]
     for chart in (loss, bare):

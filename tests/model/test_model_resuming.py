@@ -11,7 +11,8 @@ from training_runs import assert_same_end, before_each_network, checkpoint, sett
 
 from model.data.rows import RowLayout
 from model.run_folder.run_config import RunError, run_settings
-from model.settings import settings_from_dict
+from model.settings.keys import merged
+from model.settings.train_settings import settings_from_dict
 from model.training.interruption import Interruption
 from model.training.log import TrainingLog
 from model.training.loop import train
@@ -203,9 +204,9 @@ def test_resuming_a_finished_run_does_nothing_and_says_so(closed_form_scenes, fi
 
 def test_the_settings_of_a_run_resume_it(closed_form_scenes, finished_copy, finished_run):
     stored = run_settings(finished_copy)
-    assert stored["batch_size"] == 3
+    assert stored["optimiser"]["batch_size"] == 3
     assert settings_from_dict(stored, "run.json") == settings()
-    longer = settings_from_dict(stored | {"max_epochs": 3}, "run.json")
+    longer = settings_from_dict(merged(stored, {"run": {"max_epochs": 3}}), "run.json")
     assert train(closed_form_scenes, finished_copy, longer, resume=True).epochs == 3
     with pytest.raises(RunError, match="is no training run"):
         run_settings(finished_run.parent)
@@ -213,7 +214,11 @@ def test_the_settings_of_a_run_resume_it(closed_form_scenes, finished_copy, fini
 
 @pytest.mark.parametrize(
     ("change", "named"),
-    [({"seed": 5}, "seed was 0 and is now 5"), ({"width": 3}, "width"), ({"channels": "paper"}, "channels")],
+    [
+        ({"seed": 5}, "run.seed was 0 and is now 5"),
+        ({"width": 3}, "network.width"),
+        ({"channels": "paper"}, "input.channels.kind"),
+    ],
 )
 def test_resuming_with_other_settings_is_refused_by_name(closed_form_scenes, finished_copy, change, named):
     with pytest.raises(RunError, match=f"cannot be resumed: {named}"):
@@ -223,7 +228,7 @@ def test_resuming_with_other_settings_is_refused_by_name(closed_form_scenes, fin
 def test_a_schedule_that_ends_with_the_run_cannot_be_made_longer(closed_form_scenes, tmp_path):
     ending = {"schedule": "cosine", "max_epochs": 1}
     train(closed_form_scenes, tmp_path / "run", settings(**ending))
-    with pytest.raises(RunError, match=r"max_epochs was 1 and is now 2 \(the learning rate's schedule"):
+    with pytest.raises(RunError, match=r"run\.max_epochs was 1 and is now 2 \(the learning rate's schedule"):
         train(closed_form_scenes, tmp_path / "run", settings(**ending | {"max_epochs": 2}), resume=True)
 
 

@@ -17,7 +17,7 @@ from itof.wall.wall_view import WallPlaceError
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
 from model.data.corner import wall_view
-from model.data.fit_cache import FitCache
+from model.data.scene_walls import FitCache
 from model.data.shards import open_shards
 from model.network import channels as channels_module
 from model.prediction.prediction_files import predict_file
@@ -50,7 +50,7 @@ def elsewhere(predictor, shift_m=0.01, turn=0.01):
 
 
 def test_a_prediction_does_not_depend_on_the_wall_that_was_assumed_nor_on_phase_offsets(self_run, shards):
-    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors(range(4))
+    predictor, phasors = load(self_run, "cpu"), shards.read(range(4)).phasors
     assert config_of(self_run)["inputs"]["reference"] == "self"
     drift = np.exp(1j * np.array([0.005, -0.005, 0.005]))
     straight = predictor.predict(phasors).phasor
@@ -67,7 +67,7 @@ def test_a_prediction_does_not_depend_on_the_wall_that_was_assumed_nor_on_phase_
 
 def test_the_channels_of_the_training_scenes_have_unit_variance(self_run, shards):
     predictor = load(self_run, "cpu")
-    phasors = shards.complex_phasors(shards.rows("train"))
+    phasors = shards.read(shards.rows("train")).phasors
     inputs = predictor.config.inputs
     channels = inputs.apply(phasors, inputs.reference_for(phasors, predictor.wall))
     np.testing.assert_allclose(channels.std(axis=(0, 2, 3)), 1, rtol=1e-3)
@@ -83,7 +83,7 @@ def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch)
     assert rows.reference.nbytes == 12 * maker.reference_bytes
     assert torch.equal(rows.take([3, 11]).reference, rows.reference[[3, 11]])
     assert torch.equal(rows.take([3]).joined(rows.take([11])).reference, rows.reference[[3, 11]])
-    phasors = rows.complex_phasors()
+    phasors = rows.phasors
     inputs, wall = maker.inputs, maker.wall
     plain = inputs.apply(phasors, inputs.reference_for(phasors, wall))
     # complex64: 1e-7 of 1, divided by the residual's scale of 3e-4
@@ -132,7 +132,7 @@ def test_a_reference_kept_without_noise_keeps_the_share_of_the_noise_that_a_fit_
 
 
 def test_a_capture_of_the_empty_corner_takes_its_own_errors_along(self_run, shards):
-    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors([0, 1])
+    predictor, phasors = load(self_run, "cpu"), shards.read([0, 1]).phasors
     height, width = phasors.shape[1:3]
     y, x = np.mgrid[:height, :width]
     error = np.exp(0.02j * np.sin(0.5 * x + 0.9 * y))[..., None]  # of each pixel, no plane and no offset
@@ -145,7 +145,7 @@ def test_a_capture_of_the_empty_corner_takes_its_own_errors_along(self_run, shar
 def test_it_is_told_where_a_capture_of_the_empty_corner_shows_the_wall(
     self_run, capture_run, shards, tmp_path
 ):
-    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors([0])
+    predictor, phasors = load(self_run, "cpu"), shards.read([0]).phasors
     there = elsewhere(predictor).wall
     unsure = there.direct * np.exp(0.3j * np.random.default_rng(0).standard_normal(there.direct.shape))
     told = {}
@@ -169,7 +169,7 @@ def test_it_is_told_where_a_capture_of_the_empty_corner_shows_the_wall(
 
 
 def test_the_error_of_a_square_wave_is_taken_out_on_request(self_run, shards):
-    predictor, phasors = load(self_run, "cpu"), shards.complex_phasors([0, 1])
+    predictor, phasors = load(self_run, "cpu"), shards.read([0, 1]).phasors
     phases, error = np.angle(phasors), 0.0
     for _ in range(5):  # the error is a function of the phase that has it
         error = 0.01 * np.cos(4 * (phases + error)) + 0.005 * np.sin(4 * (phases + error))
@@ -195,7 +195,7 @@ def test_a_resumed_self_calibrated_run_ends_as_if_uninterrupted(closed_form_scen
 def test_a_file_of_another_wall_is_predicted_without_a_warning(self_run, shards, tmp_path):
     predictor = load(self_run, "cpu")
     wall = predictor.wall
-    moved = shards.complex_phasors([0]) * np.exp(1j * wall.slope * 0.008 * wall.radial_depth_m[..., None])
+    moved = shards.read([0]).phasors * np.exp(1j * wall.slope * 0.008 * wall.radial_depth_m[..., None])
     file = write_npz(tmp_path / "m.npz", phasors=-moved)  # and a camera whose sign is the opposite
     found = predict_file(self_run, file, tmp_path / "out", device="cpu", progress=False)
     assert found.check.warnings == ()
@@ -206,14 +206,14 @@ def test_a_file_of_another_wall_is_predicted_without_a_warning(self_run, shards,
 
 
 def test_a_wall_of_another_corner_is_refused(self_run, shards, tmp_path):
-    far = farther(shards.complex_phasors([0])[0], load(self_run, "cpu").wall, 0.4)
+    far = farther(shards.read([0]).phasors[0], load(self_run, "cpu").wall, 0.4)
     file = write_npz(tmp_path / "m.npz", phasors=far)
     with pytest.raises(MeasurementError, match=r"farther away.*: the run was trained on another corner"):
         predict_file(self_run, file, tmp_path / "out", device="cpu", progress=False)
 
 
 def test_a_run_for_captures_needs_one(capture_run, shards, tmp_path):
-    predictor, phasors = load(capture_run, "cpu"), shards.complex_phasors([0])
+    predictor, phasors = load(capture_run, "cpu"), shards.read([0]).phasors
     with pytest.raises(InputError, match="for a capture of the empty corner: give one as reference"):
         predictor.predict(phasors)
     assert predictor.predict(phasors, predictor.reference).mask.shape == phasors.shape[:3]
@@ -261,7 +261,7 @@ def test_the_fit_of_an_image_does_not_depend_on_the_images_beside_it(size, tmp_p
     inputs = fit_input_spec("residual", shards, rows, reference="self", view=view)
     wall = view.expected_wall(shards.reference, shards.manifest.frequencies_hz)
     maker = BatchMaker.for_shards(inputs, shards.manifest.frequencies_hz, wall, torch.device("cpu"))
-    phasor = maker.measured(maker.upload(shards.read(list(rows))))
+    phasor = maker.upload(shards.read(list(rows))).phasors
     together = FitCache(inputs).of(rows, phasor, maker.wall)
     for count in (1, 3):
         fit = FitCache(inputs).of(rows[:count], phasor[:count], maker.wall)

@@ -19,7 +19,9 @@ from model.data.batches import BatchMaker
 from model.data.rows import ARRAYS
 from model.data.sensor_draws import SensorDraws
 from model.run_folder.run_config import RunError
-from model.settings import settings_from_dict, training_preset
+from model.settings.keys import merged, tables
+from model.settings.presets import training_preset
+from model.settings.train_settings import settings_from_dict
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from storage import PresetError
@@ -103,7 +105,7 @@ def test_batches_are_measured_and_their_references_fitted_to_the_measurement():
     without = Augmentation()(bare, plain, draws)
     residual = slice(5, None)
     change = (with_camera.channels - without.channels)[:, residual]
-    noise = camera.camera.spread(plain.measured(rows)).max() / 0.05
+    noise = camera.camera.spread(rows.phasors).max() / 0.05
     assert 0 < change.abs().median() < noise / 1e-3  # noise, not half a radian of drift over a scale of 1e-3
     again = Augmentation()(bare, drifting, draws)
     torch.testing.assert_close(again.channels, with_camera.channels, rtol=0, atol=0)
@@ -115,8 +117,8 @@ def test_validation_scenes_are_measured_by_their_row():
     measuring = replace(maker, camera=camera)
     block = replace(rows, **{name: getattr(rows, name).numpy() for name in ARRAYS})
     seen = measuring.upload(block)
-    expected = camera(maker.measured(rows), rows.rows)
-    torch.testing.assert_close(measuring.measured(seen), expected)
+    expected = camera(rows.phasors, rows.rows)
+    torch.testing.assert_close(seen.phasors, expected)
     torch.testing.assert_close(seen.reference, measuring.reference(expected))
     augmented = measuring.upload_to_augment(block)
     assert augmented.reference is None
@@ -142,14 +144,16 @@ def test_a_training_behind_a_camera_resumes_to_the_bit(closed_form_scenes, tmp_p
     for name in ("best.safetensors", "history.csv"):
         assert (whole / name).read_bytes() == (halves / name).read_bytes()
     recorded = config_of(whole)["settings"]
-    assert recorded["sensor"]["integration_s"] == 1e-2
-    assert recorded["sensor_capture"] is True
+    assert recorded["augmentation"]["camera"]["sensor"]["integration_s"] == 1e-2
+    assert recorded["augmentation"]["camera"]["empty_corner"] is True
     other = settings(**BEHIND | {"sensor": replace(BEHIND["sensor"], frames=2)})
-    with pytest.raises(RunError, match="cannot be resumed: sensor"):
+    with pytest.raises(
+        RunError, match=r"cannot be resumed: augmentation\.camera\.sensor\.frames was 1 and is now 2"
+    ):
         train(closed_form_scenes, halves, other, resume=True)
     # The validation loss is that of noisy scenes.
-    plain = tmp_path / "plain"
-    train(closed_form_scenes, plain, settings(**BEHIND | {"sensor": None, "sensor_capture": False}))
+    plain, bare = tmp_path / "plain", {k: v for k, v in BEHIND.items() if "sensor" not in k}
+    train(closed_form_scenes, plain, settings(**bare))
     assert (plain / "history.csv").read_text() != (whole / "history.csv").read_text()
 
 
@@ -166,25 +170,31 @@ def test_cameras_that_cannot_measure_the_scenes_are_refused(closed_form_scenes, 
 
 def test_settings_name_a_camera_and_hold_what_it_is(tmp_path):
     file = tmp_path / "preset.toml"
-    file.write_text('channels = "residual"\nreference = "self"\nsensor = "calibrated"\n')
+    file.write_text('[augmentation.camera]\nsensor = "calibrated"\n')
     data, origin = training_preset(file)
     found = settings_from_dict(data, origin)
-    assert found.sensor == load_sensor("calibrated")
+    assert found.augmentation.camera.sensor == load_sensor("calibrated")
     assert settings_from_dict(json.loads(json.dumps(asdict(found))), "run.json") == found
     (tmp_path / "mine.toml").write_text("f_number = 2.5\n")
-    file.write_text('channels = "residual"\nreference = "self"\nsensor = "mine.toml"\n')
-    assert training_preset(file)[0]["sensor"]["f_number"] == 2.5
+    file.write_text('[augmentation.camera]\nsensor = "mine.toml"\n')
+    assert training_preset(file)[0]["augmentation"]["camera"]["sensor"]["f_number"] == 2.5
     for name in ("nothing", "../mine.toml"):
-        file.write_text(f'sensor = "{name}"\n')
-        with pytest.raises(PresetError, match=r"preset\.toml, key sensor: "):
+        file.write_text(f'[augmentation]\ncamera.sensor = "{name}"\n')
+        with pytest.raises(PresetError, match=r"preset\.toml, key augmentation\.camera\.sensor: "):
             training_preset(file)
-    for changes, words in (
-        ({"sensor": asdict(SENSOR), "channels": "residual", "reference": "capture"}, "take reference self"),
-        ({"sensor_capture": True}, "name one"),
-        ({"sensor": {"f_number": 0.0}}, "sensor.f_number must be greater than 0"),
+    for key, value, words in (
+        ("input.channels.reference", "capture", "take reference self"),
+        ("augmentation.camera.empty_corner", True, ""),
+        ("augmentation.camera.sensor.f_number", 0.0, "sensor.f_number must be greater than 0"),
     ):
+        changes = merged(data, tables({key: value}))
+        if not words:
+            assert settings_from_dict(changes, "options").augmentation.camera.empty_corner
+            continue
         with pytest.raises(PresetError, match=words):
             settings_from_dict(changes, "options")
+    with pytest.raises(PresetError, match=r"key augmentation\.camera\.sensor is missing"):
+        settings_from_dict(tables({"augmentation.camera.empty_corner": True}), "options")
 
 
 def test_night_train_refuses_an_unknown_camera_in_a_sentence(closed_form_scenes, tmp_path):

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from synthetic_dataset import edit_image, write_synthetic_dataset
 
-from itof import ImageFileError, join_components
+from itof import ImageFileError
 from model.data import shard_building
 from model.data.renders import ShardError
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
 from scenegen import open_dataset
+from storage import sha256_of
 
 WIDTH, HEIGHT = 11, 7
 
@@ -52,10 +53,9 @@ def rewritten(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, in
 def test_arrays_of_a_piece_are_plain_npy_files(pairs):
     shards = open_shards(pairs)
     phasors = np.load(pairs.shard_folder / "000002" / "phasors.npy", mmap_mode="r")
-    assert phasors.shape == (2, 6, HEIGHT, WIDTH)
+    assert phasors.shape == (2, HEIGHT, WIDTH, 3)
     assert np.array_equal(phasors, shards.read([2, 3]).phasors)
-    reference = np.load(pairs.shard_folder / "reference.npy")  # (2F, H, W)
-    assert np.array_equal(join_components(np.moveaxis(reference, 0, -1)), shards.reference)
+    assert np.array_equal(np.load(pairs.shard_folder / "reference.npy"), shards.reference)
 
 
 def test_fresh_shards_are_used_again_and_a_changed_render_rebuilds_its_piece_alone(pairs, caplog):
@@ -178,17 +178,24 @@ def test_another_split_or_camera_and_a_broken_manifest_leave_the_pieces(dataset)
     assert len(hashes) == 3
 
 
-def test_shards_of_schema_version_1_are_replaced(pairs):
-    folder = pairs.shard_folder
-    folder.mkdir()
-    for name in ("phasors", "target", "radial_depth_m", "mask", "reference"):
-        np.save(folder / f"{name}.npy", np.zeros((6, HEIGHT, WIDTH)))
-    (folder / "manifest.json").write_text('{"schema_version": 1}')
-    shards = open_shards(pairs)
-    assert np.abs(shards.reference).min() > 0
-    assert json.loads((folder / "manifest.json").read_text())["schema_version"] == 2
-    names = {entry.name for entry in folder.iterdir()}
-    assert names == {"000000", "000002", "000004", "reference.npy", "manifest.json"}
+def test_shards_of_schema_version_2_are_replaced(pairs):
+    """They had F real parts, then F imaginary parts, before the axes of the image."""
+    before, folder = open_shards(pairs), pairs.shard_folder
+    expected = before.read(range(6))
+    for file in (*folder.glob("*/phasors.npy"), folder / "reference.npy"):
+        z = np.load(file)
+        np.save(file, np.moveaxis(np.concatenate([z.real, z.imag], axis=-1), -1, -3))
+    for record in folder.glob("*/piece.json"):
+        text = json.loads(record.read_text())
+        text["files"]["phasors.npy"] = sha256_of(record.with_name("phasors.npy"))
+        record.write_text(json.dumps(text))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest |= {"schema_version": 2, "reference_sha256": sha256_of(folder / "reference.npy")}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    after = open_shards(pairs)
+    assert after.manifest == before.manifest
+    assert np.array_equal(after.reference, before.reference)
+    assert np.array_equal(after.read(range(6)).phasors, expected.phasors)
 
 
 def test_pieces_of_another_size_go(pairs, monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_dataset import write_synthetic_dataset
 
-from itof import direct_phasors, join_components, read_image, residual_channels
+from itof import direct_phasors, read_image, residual_channels
 from model.data.pieces import scenes_per_piece
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
@@ -24,13 +24,14 @@ def test_shards_hold_every_scene_as_it_was_rendered(dataset, monkeypatch, piece_
     shards = open_shards(dataset)
     assert [piece.contents.name for piece in shards.manifest.pieces] == dataset.ids()[::piece_rows]
     block = shards.read([5, 0, 4, 2, 1, 3])
-    assert all(array.dtype == np.float32 for array in (block.phasors, block.target, block.radial_depth_m))
+    assert block.phasors.dtype == block.target.dtype == np.complex64
+    assert block.radial_depth_m.dtype == np.float32
     for place, row in enumerate(block.rows):
         folder = dataset.render_folder(dataset.ids()[row])
         measured, frequencies_hz = read_image(folder / "itof.exr").phasors()
         truth = read_image(folder / "mirrored.exr")
-        assert np.array_equal(block.complex_phasors()[place], measured)
-        assert np.array_equal(join_components(np.moveaxis(block.target[place], 0, -1)), truth.phasors()[0])
+        assert np.array_equal(block.phasors[place], measured)
+        assert np.array_equal(block.target[place][..., None], truth.phasors()[0])
         assert np.array_equal(block.radial_depth_m[place], truth.channel("depth.R"))
         assert np.array_equal(block.mask[place], truth.channel("mask.M"))
         assert shards.manifest.frequencies_hz == frequencies_hz
@@ -59,5 +60,5 @@ def test_the_reference_is_the_direct_return_so_the_residual_holds_hidden_light_a
     np.testing.assert_allclose(shards.reference, direct, rtol=1e-7, atol=1e-7 * np.abs(direct).max())
     bare = residual_channels(direct.astype(np.complex64), shards.reference)[:3]  # Im at each frequency
     assert np.abs(bare).max() < 1e-6
-    hidden = residual_channels(shards.complex_phasors([0])[0], shards.reference)[:3]
+    hidden = residual_channels(shards.read([0]).phasors[0], shards.reference)[:3]
     assert np.abs(hidden).max() > 1e-4

@@ -87,7 +87,7 @@ def test_a_missing_run_names_those_that_there_are(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.thorough if "40x30" in name else ()) for name in RUNS]
+    "name", [pytest.param(name, marks=() if "40x30" in name else pytest.mark.thorough) for name in RUNS]
 )
 def test_it_finds_objects_in_scenes_that_nobody_trained_on(name, tmp_path):
     config = load(name, "cpu").config

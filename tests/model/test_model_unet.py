@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from itof import phasor_of_return
-from model.network.loss import NightLoss
 from model.network.readout import Readout
 from model.network.unet import UNet, least_weights
+from model.paper.loss import NightLoss
 
 FREQUENCY_HZ = 20e6
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.linalg import norm
+from true_solids import solids_of
 
 from itof import DepthMap, TransientLayout, pixel_rays
 from model.data.corner import wall_view
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Guess, fitted
-from model.refinement.light.room import in_camera_axes, room_of
+from model.refinement.light.room import room_of
 from model.refinement.light.solids import Solid
 from model.refinement.light.three_bounces import Bounces
 from model.refinement.refining import Family, Refined, refined
-from scenegen import rotation_matrix
 
 HZ = (20e6, 50e6, 60e6)
 WIDTH, HEIGHT = 40, 30
@@ -34,19 +34,6 @@ def measured(dataset, scene_id, variant, lights=8192):
     image = ManyLight(ManyLightOptions(lights=lights), variant).expose(load_scene(dataset, scene_id), view)
     found = image.phasors()
     return found.hidden, found.total - found.hidden
-
-
-def solids_of(dataset, scene_id):
-    view, axes = wall_view(dataset), np.asarray(wall_view(dataset).camera_axes)
-    return tuple(
-        Solid(
-            part.shape,
-            part.size_m,
-            in_camera_axes(part.location_m, view),
-            axes @ rotation_matrix(part.rotation_deg),
-        )
-        for part in dataset.scene(scene_id).hidden_objects
-    )
 
 
 def comparison(dataset, phasor, *, fine=True, wall=None):

@@ -99,7 +99,7 @@ def test_the_file_says_what_its_arrays_are_and_how_they_were_made(exported, seve
 
 
 def test_the_page_of_file_formats_names_every_array_with_its_axes(exported):
-    page = (ROOT / "docs" / "files.md").read_text()
+    page = (ROOT / "docs" / "reference" / "files.md").read_text()
     section = page[page.index("## Exported dataset") :].split("\n## ")[0]
     with h5py.File(exported) as file:
         named = {name: file[name].attrs["axes"] for name in file if name != "splits"}
@@ -209,7 +209,7 @@ def test_the_result_as_json(three_missing, tmp_path):
     assert sum(result["scenes"].values()) == 4
     assert result["arrays"]["phasors"] == [4, 18, 24, 3]
     assert "left out: scene 000004" in done.stderr
-    page = (ROOT / "docs" / "files.md").read_text()
+    page = (ROOT / "docs" / "reference" / "files.md").read_text()
     (row,) = re.findall(r"^\| `night-render export` \|.*$", page, re.M)
     assert set(re.findall(r"`(\w+)`", row)) >= result.keys()
 
@@ -238,7 +238,7 @@ def test_the_network_predicts_from_the_file_as_from_the_renders(finished_run, tm
 
 @pytest.mark.long
 def test_the_data_set_of_the_page_gives_batches_to_pytorch(exported, tmp_path):
-    page = (ROOT / "docs" / "datasets.md").read_text()
+    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
     block = re.search(r"^```python\n(import h5py\n.*?)^```", page, re.M | re.S)[1]
     shutil.copy(exported, tmp_path / "paper.h5")
     check = """
@@ -264,7 +264,7 @@ with h5py.File("paper.h5") as file:
 
 
 def test_the_lines_of_the_page_that_need_h5py_alone_run(exported, tmp_path):
-    page = (ROOT / "docs" / "datasets.md").read_text()
+    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
     block = re.search(r"^```python\n(import json\n.*?)^```", page, re.M | re.S)[1]
     shutil.copy(exported, tmp_path / "paper.h5")
     check = """

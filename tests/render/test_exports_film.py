@@ -72,7 +72,7 @@ def test_the_hidden_return_is_visible_after_the_direct_one(transient_dataset, tm
     red, green, _ = samples(decoded(tmp_path / "film.mp4")[1], 10)[:, HEIGHT // 2, 2].T  # near: lit early
     direct = green.argmax()
     assert green[direct] > 150
-    # The object is some 2.5 m of path farther (docs/design.md, Scene): dark for 15 bins of 5 cm at least,
+    # The object is some 2.5 m of path farther (docs/science/design.md, Scene): dark for 15 bins of 5 cm,
     # then lit again.
     assert red[direct + 3 : direct + 15].max() < 20
     assert red[direct + 15 :].max() > 50

@@ -20,7 +20,7 @@ def test_phasors_from_bins_are_the_rendered_ones(transient_dataset, transient_bi
     made = read_image(out)
     (z, found_hz), (exact, rendered_hz) = made.phasors(), rendered.phasors()
     assert found_hz == rendered_hz
-    # docs/rendering.md: 1 % of the hidden part, and what bins of 5 cm leave of all light.
+    # docs/science/renderer.md: 1 % of the hidden part, and what bins of 5 cm leave of all light.
     hidden = np.linalg.norm(rendered.phasors("hidden")[0], axis=(0, 1))
     energy = np.linalg.norm(transient_bins.sum(axis=-1))
     residue = splat_residue(found_hz, BIN_M, "quadratic")

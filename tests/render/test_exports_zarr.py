@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import threading
-from importlib.util import find_spec
 
 import h5py
 import numpy as np
@@ -21,8 +20,6 @@ from render.products.conversion import ExportError
 from render.products.dataset_export import export_dataset
 from render.products.zarr_copy import digest_of_folder
 from scenegen import open_dataset
-
-pytestmark = pytest.mark.skipif(find_spec("zarr") is None, reason="needs zarr")
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +53,7 @@ def test_arrays_and_attributes_are_those_of_the_hdf5_file(folder, exported):
 
 
 def test_zarr_and_numpy_alone_read_it_and_find_damage(folder, tmp_path):
-    page = (ROOT / "docs" / "datasets.md").read_text()
+    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
     shutil.copytree(folder, tmp_path / "paper.zarr")
     lines = re.search(r"^```python\n(import json\n\nimport zarr\n.*?)^```", page, re.M | re.S)[1]
     code = f"""{lines}
@@ -85,7 +82,7 @@ print(sorted(root["splits"].array_keys()), root["phasors"].attrs["axes"], root.a
 def test_the_same_dataset_gives_the_same_bytes_and_sha256sum_the_same_hash(folder, seven_renders, tmp_path):
     again = export_dataset(open_dataset(seven_renders), tmp_path / "again.zarr")
     assert (again.bytes, again.sha256) == digest_of_folder(folder)
-    line = "find . -type f | LC_ALL=C sort | xargs sha256sum | sha256sum"  # of docs/files.md
+    line = "find . -type f | LC_ALL=C sort | xargs sha256sum | sha256sum"  # of docs/reference/files.md
     listed = subprocess.run(["/bin/sh", "-c", line], cwd=folder, capture_output=True, text=True, check=True)
     assert listed.stdout.split()[0] == again.sha256
     everything = b"".join(file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file())
@@ -112,7 +109,7 @@ def test_another_thread_may_use_h5py_while_zarr_writes(monkeypatch, exported, se
     def create_array(*arguments, **options):
         other = threading.Thread(target=lambda: h5py.File(exported).close(), daemon=True)
         other.start()
-        other.join(timeout=20)
+        other.join(timeout=300)
         assert not other.is_alive()
         return create(*arguments, **options)
 
@@ -121,9 +118,9 @@ def test_another_thread_may_use_h5py_while_zarr_writes(monkeypatch, exported, se
 
 
 def test_without_the_package_the_name_of_its_extra_is_given(monkeypatch, seven_renders, tmp_path):
-    monkeypatch.setattr(zarr_copy, "find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "zarr", None)
     sentence = refusal("night-render", "export", seven_renders, "--out", tmp_path / "x.zarr")
-    assert "pip install 'night-nlos[zarr]'" in sentence
+    assert "pip install 'night-nlos[export]'" in sentence
     assert list(tmp_path.iterdir()) == []
 
 

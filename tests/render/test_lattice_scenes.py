@@ -38,7 +38,7 @@ def interpolation_error(exposure):
     return relative(exposure.phasors().hidden, exact_image(exposure)).max()
 
 
-@pytest.mark.parametrize("wanted", [0.02, pytest.param(0.005, marks=pytest.mark.long)])
+@pytest.mark.parametrize("wanted", [0.02, pytest.param(0.005, marks=pytest.mark.thorough)])
 def test_a_glossy_wall_is_interpolated_with_a_quarter_of_the_wanted_error(variant, tmp_path, wanted):
     scene = OddCorner((box(),), wall_bsdf=corner.rough_plastic(0.3)).load(tmp_path)
     exposure = exposure_of(scene, variant, wanted)
@@ -51,15 +51,13 @@ def test_a_glossy_wall_is_interpolated_with_a_quarter_of_the_wanted_error(varian
 @pytest.mark.parametrize(
     "shapes",
     [
-        ["sphere"],
-        ["cube"],
-        ["cone"],
-        ["cylinder"],
-        ["concave_plane"],
-        ["parallelepiped"],
-        ["cone", "cylinder"],
+        *(
+            pytest.param([name], id=name, marks=pytest.mark.thorough)
+            for name in ("sphere", "cube", "cone", "cylinder", "parallelepiped")
+        ),
+        pytest.param(["concave_plane"], id="concave_plane"),
+        pytest.param(["cone", "cylinder"], id="cone+cylinder"),
     ],
-    ids="+".join,
 )
 def test_every_class_is_interpolated_with_a_quarter_of_the_wanted_error(
     make_dataset, variant, shapes, wanted
@@ -132,12 +130,12 @@ def wall(kind, pattern):
 @pytest.mark.parametrize(
     ("kind", "pattern"),
     [
-        pytest.param("texture", "waves", marks=pytest.mark.long),
-        pytest.param("texture", "stripes", marks=pytest.mark.long),
-        pytest.param("texture", "checks", marks=pytest.mark.long),
+        pytest.param("texture", "waves", marks=pytest.mark.thorough),
+        pytest.param("texture", "stripes", marks=pytest.mark.thorough),
+        pytest.param("texture", "checks", marks=pytest.mark.thorough),
         pytest.param("texture", "holes", marks=pytest.mark.long),
         pytest.param("bumps", "waves", marks=pytest.mark.long),
-        pytest.param("bumps", "stripes", marks=pytest.mark.long),
+        pytest.param("bumps", "stripes", marks=pytest.mark.thorough),
         pytest.param("normals", "", marks=pytest.mark.long),
     ],
 )

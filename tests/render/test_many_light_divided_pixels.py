@@ -26,7 +26,7 @@ def of_the_bins(exposure):
 
 
 @pytest.mark.parametrize(
-    "fov_deg", [67, pytest.param(75, marks=pytest.mark.long), pytest.param(90, marks=pytest.mark.long)]
+    "fov_deg", [67, pytest.param(75, marks=pytest.mark.thorough), pytest.param(90, marks=pytest.mark.long)]
 )
 def test_phasors_and_transients_agree_where_the_middle_wall_enters_the_picture(variant, tmp_path, fov_deg):
     exposure = expose(wide_corner(fov_deg).load(tmp_path), variant, lights=512, layout=LAYOUT)

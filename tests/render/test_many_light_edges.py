@@ -52,9 +52,9 @@ def misses(width, height, fov_deg, wall_half_m):
 @pytest.mark.parametrize(
     ("fov_deg", "size", "wall_half_m"),
     [
-        pytest.param(76, (24, 18), 2, marks=pytest.mark.long),
-        pytest.param(80, (64, 48), 3, marks=pytest.mark.long),
-        pytest.param(90, (24, 18), 4, marks=pytest.mark.long),
+        pytest.param(76, (24, 18), 2, marks=pytest.mark.thorough),
+        pytest.param(80, (64, 48), 3, marks=pytest.mark.thorough),
+        pytest.param(90, (24, 18), 4, marks=pytest.mark.thorough),
         pytest.param(60, (48, 64), 1.2, marks=pytest.mark.long),  # a portrait: it sees over the wall
         (60, (24, 18), 1),
     ],
@@ -211,10 +211,10 @@ def wedge(angle_deg, length_m=0.3):
     "mesh",
     [
         pytest.param(box(), id="cube"),
-        pytest.param(box((0.5, 0.5, 0.002)), id="plate", marks=pytest.mark.long),
+        pytest.param(box((0.5, 0.5, 0.002)), id="plate", marks=pytest.mark.thorough),
         pytest.param(plate(0.0005), id="foil"),
-        pytest.param(ball(3), id="ball", marks=pytest.mark.long),
-        pytest.param(wedge(20), id="wedge", marks=pytest.mark.long),
+        pytest.param(ball(3), id="ball", marks=pytest.mark.thorough),
+        pytest.param(wedge(20), id="wedge", marks=pytest.mark.thorough),
         pytest.param(wedge(5), id="blade"),
         pytest.param(wedge(1), id="razor", marks=pytest.mark.long),
     ],

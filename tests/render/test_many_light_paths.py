@@ -21,7 +21,7 @@ from many_light_scenes import (
 
 @pytest.mark.parametrize(
     ("layout", "lights"),
-    [(SMALL, 1024), pytest.param(LAYOUT, 2**15, marks=pytest.mark.long)],
+    [(SMALL, 1024), pytest.param(LAYOUT, 2**15, marks=pytest.mark.thorough)],
     ids=["small", "large"],
 )
 @pytest.mark.parametrize("name", SHAPES)

@@ -135,7 +135,7 @@ def check_transient(exposure, image, layout, frequencies_hz, alpha):
     light = transient.sum(dtype=float)
     hidden = np.abs(image.hidden).sum(axis=(0, 1))
     residue = splat_residue(np.array(frequencies_hz), layout.bin_width_m, "quadratic")
-    # What bins cannot carry, and rounding of float32 (docs/rendering.md); hidden light in wide pixels.
+    # What bins cannot carry, and rounding of float32 (docs/science/renderer.md); hidden light in wide pixels.
     turns = 2 * np.pi * np.array(frequencies_hz) * layout.bin_count * layout.bin_width_m / SPEED_OF_LIGHT
     assert np.all(off <= (residue + 1e-6 + 6e-8 * turns) * 2 * light + 0.1 * hidden)
 

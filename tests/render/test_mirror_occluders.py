@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_refinement_light import solids_of
+from true_solids import solids_of
 
 from itof import pixel_rays
 from model.refinement.light.room import room_of

@@ -148,7 +148,7 @@ def test_pairs_have_the_wall_of_their_empty_corners(pair, tmp_path):
         off_m[place] = np.abs(truth.radial_depth_m - depth_m).max()
     # The mean of the four cycles over the wall, 11 mrad at 60 and 46 at 20 MHz, is taken for an offset.
     assert off_m["empty"] < 0.015 < 0.02 < off_m["preset"]
-    found = open_shards(made["empty"], progress=False).complex_phasors([0])[0]
+    found = open_shards(made["empty"], progress=False).read([0]).phasors[0]
     error = np.angle(found / phasor)
     assert np.abs(error - error.mean(axis=(0, 1))).max() < 0.02  # 8 mm at 60 MHz
     plane = wall_view(made["empty"]).expected_wall(direct, HZ).plane_per_m

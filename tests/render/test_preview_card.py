@@ -1,14 +1,18 @@
 """The dataset card: its numbers, its snippet of code, its licence."""
 
+import hashlib
+import json
 import re
 import subprocess
 import sys
 from dataclasses import replace
 
 import pytest
+import yaml
 from previews import grey_view
 
 from render.products.card import CardError, EarlierCard, checked_licence, dataset_card, read_card
+from render.products.croissant import CROISSANT_FILE, croissant, has_no_other_croissant
 from render.products.distributions import ratio_sentence, read_distributions
 from render.products.preview import check_preview, write_preview
 from scenegen import Dataset, RenderingRecord, open_dataset, write_rendering_record
@@ -33,7 +37,7 @@ def test_the_cards_numbers_are_the_datasets(corners):
     dataset = open_dataset(corners.root)
     found = read_distributions(dataset, lambda: None)
     card = dataset_card(dataset, found, None)
-    assert card.startswith("# corners\n")
+    assert card.split("---\n")[2].startswith("\n# corners\n")
     assert "9 synthetic look-behind-a-corner scenes, 3 of them rendered" in card
     for name in sorted({entry.object_class for entry in dataset.index.scenes}):
         members = [entry.split for entry in dataset.index.scenes if entry.object_class == name]
@@ -87,6 +91,61 @@ def test_a_licence_is_kept_until_another_is_given(corners):
     assert read_card(corners).licence == "a --> b -- c"
     with pytest.raises(CardError, match="name of a licence"):
         checked_licence(" ")
+
+
+@pytest.mark.parametrize(
+    ("licence", "header"),
+    [
+        (None, {}),
+        ("CC BY 4.0", {"license": "cc-by-4.0"}),
+        ("a --> b -- c", {"license": "other", "license_name": "a --> b -- c"}),
+    ],
+)
+def test_the_header_of_the_card_is_that_of_data_hubs(corners, licence, header):
+    card = dataset_card(corners, read_distributions(corners, lambda: None), licence)
+    assert yaml.safe_load(card.split("---\n")[1]) == {
+        "pretty_name": "corners",
+        **header,
+        "task_categories": ["depth-estimation"],
+        "tags": ["non-line-of-sight", "indirect-time-of-flight", "openexr"],
+        "size_categories": ["n<1K"],
+    }
+
+
+# The required properties of the specification, https://docs.mlcommons.org/croissant/docs/croissant-spec.html
+DATASET_NEEDS = {"@context", "@type", "conformsTo", "name", "description", "license", "url", "creator"}
+FILE_NEEDS = {"@type", "@id", "name", "contentUrl", "encodingFormat", "sha256"}
+
+
+def test_croissant_describes_the_files_that_are_there(corners):
+    data = json.loads(croissant(corners, read_distributions(corners, lambda: None), "CC BY 4.0"))
+    assert data.keys() >= DATASET_NEEDS | {"datePublished"}
+    assert (data["@type"], data["conformsTo"]) == ("sc:Dataset", "http://mlcommons.org/croissant/1.0")
+    files = [each for each in data["distribution"] if each["@type"] == "cr:FileObject"]
+    sets = [each for each in data["distribution"] if each["@type"] == "cr:FileSet"]
+    assert "dataset.json" in {file["@id"] for file in files}
+    for file in files:
+        assert file.keys() >= FILE_NEEDS
+        content = (corners.root / file["contentUrl"]).read_bytes()
+        assert file["sha256"] == hashlib.sha256(content).hexdigest()
+    counts = {each["includes"]: len(list(corners.root.glob(each["includes"]))) for each in sets}
+    rendered = {f"renders/*/{name}.exr": 3 for name in ("itof", "mirrored", "transient")}
+    assert counts == {**rendered, "scenes/*/scene.json": 9}
+    (scenes,) = data["recordSet"]
+    index = json.loads((corners.root / "dataset.json").read_text())
+    for field in scenes["field"]:
+        assert field["source"]["fileObject"]["@id"] == "dataset.json"
+        key = field["source"]["extract"]["jsonPath"].removeprefix("$.scenes[*].")
+        assert all(isinstance(scene[key], str) for scene in index["scenes"])
+
+
+def test_a_croissant_of_somebody_else_is_recognised(corners):
+    assert has_no_other_croissant(corners)
+    text = croissant(corners, read_distributions(corners, lambda: None), None)
+    (corners.root / CROISSANT_FILE).write_text(text)
+    assert has_no_other_croissant(corners)
+    (corners.root / CROISSANT_FILE).write_text("{}")
+    assert not has_no_other_croissant(corners)
 
 
 @pytest.mark.parametrize("text", ["# My notes\n", ""])

@@ -53,7 +53,7 @@ def test_the_command_leaves_scenes_renders_and_night_gen_alone(corners):
     assert again.returncode == 0, again.stderr
     (corners.root / "preset.toml").unlink()
     after = contents(corners.root)
-    added = {"README.md", "preview/contact_sheet.png", "preview/distributions.png"}
+    added = {"README.md", "croissant.json", "preview/contact_sheet.png", "preview/distributions.png"}
     assert {name: data for name, data in after.items() if name not in added} == before
 
 

@@ -25,7 +25,8 @@ from render.settings import RenderError, RenderSettings
 from render.transport.method import View
 from render.transport.path_tracer import PathTracer
 from render.transport.scene_loading import load_scene
-from scenegen import Dataset, NightError, camera_axes, wall_normal
+from scenegen import Dataset, camera_axes, wall_normal
+from storage import NightError
 
 WIDTH, HEIGHT = 32, 24
 CAMERA = {"width": WIDTH, "height": HEIGHT}
@@ -226,6 +227,8 @@ def test_the_start_of_the_time_axis_shifts_bins_and_nothing_else(rough_cube, var
     scene = load(rough_cube)
     whole = measure(scene, 64, variant)
     late = measure(scene, 64, variant, layout=TransientLayout(WIDTH, HEIGHT, 1400, 0.01, 1.0))
+    # Float32 knows 10 m to 1e-6 m: 1e-4 of the paths fall into the next bin of 1 cm, which turns their phasor
+    # by 4e-3 rad. Sums in float32 have 1e-5.
     np.testing.assert_allclose(late.sum(), whole.sum(), rtol=1e-5)
     z, shifted = (phasors(x, [20e6], 0.01, start_opl_m=start) for x, start in ((whole, 0.0), (late, 1.0)))
     np.testing.assert_allclose(shifted, z, rtol=1e-4)
@@ -240,6 +243,7 @@ def test_border_pixels_have_no_more_noise_of_the_direct_return_than_others(rough
         for s in (1, 2)
     )
     hidden_share = 2e-3
+    # A fiftieth of the hidden light, where one path lost would be half of it.
     assert np.abs(a / b - 1).max() < 0.02 * hidden_share
 
 
@@ -261,6 +265,7 @@ def test_many_passes_and_row_blocks_measure_the_same_scene(rough_cube, variant, 
     monkeypatch.setattr("render.transport.path_tracer._WAVEFRONT", 5 * WIDTH * 256)
     monkeypatch.setattr("render.transport.path_tracer._SAMPLES_PER_PASS", 256)
     parts = phasors(measure(scene, 1024, variant, max_bounces=1), FREQUENCIES_HZ, 0.01)
+    # The same 1024 float32 terms of a pixel in another order: up to 1024 x 6e-8.
     np.testing.assert_allclose(parts, whole, rtol=1e-4)
 
 
@@ -342,9 +347,8 @@ def test_a_pixel_that_is_not_finite_stops_before_anything_is_written(rendered, t
     shutil.copytree(rendered.root, tmp_path / "copy")
     copy = Dataset(tmp_path / "copy", rendered.index)
     shutil.rmtree(copy.render_folder("000000"))
-    # A projector image with NaN in it, as a broken calibration file would have.
     image = copy.scene_folder("000000") / "emitter.pfm"
-    image.write_bytes(image.read_bytes()[:-4] + np.float32(np.nan).tobytes())
+    image.write_bytes(image.read_bytes()[:-4] + np.float32(np.nan).tobytes())  # a broken calibration
     with pytest.raises(RenderError, match="NaN"):
         Renderer(copy, path_settings(4, accept_edited=True)).render("000000")
     assert list(copy.render_folder("000000").iterdir()) == []

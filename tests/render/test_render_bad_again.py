@@ -43,7 +43,7 @@ def render_the_same_bytes(folder, data):
     shutil.copytree(data.parent / "wrong", folder, dirs_exist_ok=True)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_scene_that_is_bad_twice_with_the_same_bytes_is_a_defect_and_stays(rendered_copy, wrong, workers):
     code, first, said = verify(rendered_copy, "--workers", workers)
     assert (code, first["good"], first["bad"], first["defects"]) == (1, 6, 1, [])
@@ -118,7 +118,7 @@ def test_a_damaged_memory_counts_as_none(rendered_copy, wrong):
     assert verify(rendered_copy)[1]["defects"] == [SCENE]
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_defect_in_a_folder_that_is_read_only_is_named_as_one(rendered_copy, wrong):
     def verify_as_stranger():
         subprocess.run(["chmod", "-R", "a-w", rendered_copy], check=True)

@@ -19,6 +19,7 @@ from render_runs import SETTINGS
 
 from render.farm import submissions as batch_submissions
 from render.farm.batch_system import batch_cluster
+from render.farm.clusters import check_cluster
 from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.queue import QueueError, RenderQueue
 from render.farm.submissions import Submissions
@@ -167,7 +168,7 @@ def test_a_cluster_of_which_a_job_was_refused_can_be_closed(slurm):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize("processes", [pytest.param(1, marks=pytest.mark.thorough), 2])
 def test_a_job_that_ends_is_submitted_again(slurm, processes):
     (slurm / "cluster.yaml").write_text(
         f"jobqueue:\n  slurm:\n    cores: 2\n    memory: 4GB\n    interface: lo\n    processes: {processes}\n"
@@ -260,12 +261,9 @@ def test_a_cluster_file_that_is_not_there_is_refused(tmp_path):
 
 
 def test_joining_and_starting_a_cluster_at_once_is_refused(unrendered, tmp_path):
-    done = night_here(
-        "night-render", unrendered, "--scheduler", "tcp://localhost:1", "--cluster", tmp_path / "c.yaml"
-    )
-    assert done.returncode == 2
-    assert "either --scheduler or --cluster" in done.stderr
-    done = night_here("night-render", unrendered, "--scheduler", "tcp://localhost:1", "--workers", 2)
+    with pytest.raises(ClusterError, match="either the address of a running cluster or a file"):
+        check_cluster("tcp://localhost:1", tmp_path / "c.yaml")
+    done = night_here("night-render", unrendered, "--cluster", "tcp://localhost:1", "--workers", 2)
     assert done.returncode == 2
     assert "a running cluster has its own workers" in done.stderr
 

@@ -26,7 +26,7 @@ ANSWER_S = 60  # for one that must
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
-    """Connected to a scheduler and one worker of this machine, as of a run without --scheduler."""
+    """Connected to a scheduler and one worker of this machine, as of a run without --cluster."""
     tmp_path_factory.getbasetemp()  # a run changes the place of temporary files
     with connected(workers=1, scheduler=None, cluster_file=None, device="cpu") as made:
         yield made
@@ -131,15 +131,15 @@ def test_a_scheduler_with_tls_is_joined_with_the_certificates_of_dask_s_settings
     files.insert(1, tmp_path / "certificate.pem")
     with dask_processes(tmp_path, ["--no-nanny", "--nthreads", "1", *files], scheduler=files) as (address, _):
         assert address.startswith("tls://")
-        done = night_here("night-render", three_missing, "--scheduler", address)
+        done = night_here("night-render", three_missing, "--cluster", address)
         assert done.returncode == 2
         assert f"{address} wants a certificate" in done.stderr
-        done = night_here("night-render", three_missing, "--scheduler", address.replace("tls", "tcp"))
+        done = night_here("night-render", three_missing, "--cluster", address.replace("tls", "tcp"))
         assert done.returncode == 2
         assert "no Dask scheduler answers" in done.stderr
         files = {"ca-file": "certificate.pem", "client.cert": "certificate.pem", "client.key": "key.pem"}
         given = {f"distributed.comm.tls.{name}": str(tmp_path / file) for name, file in files.items()}
         with dask.config.set(given):
-            done = night_here("night-render", three_missing, "--scheduler", address)
+            done = night_here("night-render", three_missing, "--cluster", address)
     assert done.returncode == 0, done.stderr
     assert results(three_missing) == results(seven_renders)

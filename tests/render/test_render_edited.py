@@ -10,7 +10,6 @@ from night_commands import night_here, refusal
 from render_runs import SETTINGS, results
 
 from itof import read_image
-from render.options import ManyLightOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
 from scenegen import open_dataset, read_record
@@ -50,15 +49,6 @@ def measured(data):
     return read_image(data / "renders" / "000002" / "itof.exr")
 
 
-def without_digests(data, schema=3):
-    """Turn a dataset into one of the schema that had no digests."""
-    file = data / "dataset.json"
-    index = json.loads(file.read_text())
-    for entry in index["scenes"]:
-        del entry["sha256"]
-    file.write_text(json.dumps(index | {"schema_version": schema}))
-
-
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
@@ -77,7 +67,7 @@ def test_an_edited_scene_is_refused_before_any_scene_is_rendered(unrendered, edi
         assert "scene 000002 is not as night-gen made it" in sentence
         assert words in sentence
         assert f"night-gen scenes {unrendered} repairs it" in sentence
-        assert "--accept-edited" in sentence
+        assert "--accept edited" in sentence
     assert list((unrendered / "renders").glob("[0-9]*")) == []
     done = night_here("night-render", unrendered, *SETTINGS, "--dry-run", "--only", "000001")
     assert done.returncode == 0, done.stderr  # the others can be rendered
@@ -100,7 +90,7 @@ def test_a_hostile_scene_file_is_never_opened(unrendered, seven_renders, render_
         (unrendered / "dataset.json").write_text(json.dumps(index | {"scenes": entries}))
         done = render_here(unrendered, *SETTINGS, *ONLY)
     else:
-        done = render_here(unrendered, *SETTINGS, *ONLY, "--accept-edited")
+        done = render_here(unrendered, *SETTINGS, *ONLY, "--accept", "edited")
         assert re.search(
             r"scene.xml and 1 more such files differ from scene.json, which has no effect", done.stderr
         )
@@ -129,7 +119,7 @@ def test_a_scene_that_would_be_rendered_otherwise_than_it_says_is_refused(unrend
 
 def test_an_edited_scene_is_rendered_as_it_is_when_that_is_accepted(unrendered, seven_renders, render_here):
     brighten(unrendered)
-    done = render_here(unrendered, *SETTINGS, *ONLY, "--accept-edited")
+    done = render_here(unrendered, *SETTINGS, *ONLY, "--accept", "edited")
     assert done.returncode == 0, done.stderr
     once, twice = (measured(data).phasors()[0] for data in (seven_renders, unrendered))
     np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
@@ -147,27 +137,6 @@ def test_an_edited_scene_is_rendered_as_it_is_when_that_is_accepted(unrendered, 
     brighten_back = scene(unrendered, "scene.json")
     brighten_back.write_text(brighten_back.read_text().replace('"irradiance": 2.0', '"irradiance": 1.0'))
     assert "rendered with other settings" in refusal("night-render", unrendered, *ONLY)
-
-
-def test_a_dataset_without_digests_is_refused_until_night_gen_adds_them(unrendered, seven_scenes):
-    before = (unrendered / "dataset.json").read_bytes()
-    without_digests(unrendered)
-    sentence = refusal("night-render", unrendered, *SETTINGS)
-    assert (
-        "dataset.json (schema 3) has no hashes of the scenes' files: run night-gen scenes again" in sentence
-    )
-    accepted = night_here("night-render", unrendered, *SETTINGS, "--accept-edited", "--dry-run")
-    assert accepted.returncode == 0, accepted.stderr
-    made = night_here("night-gen", "scenes", unrendered)  # by its own preset
-    assert made.returncode == 0, made.stderr
-    assert (unrendered / "dataset.json").read_bytes() == before
-
-
-def test_the_render_of_a_dataset_without_digests_says_so(unrendered, variant):
-    without_digests(unrendered)
-    settings = RenderSettings(options=ManyLightOptions(lights=64), device="cpu", accept_edited=True)
-    record = Renderer(open_dataset(unrendered), settings).render("000002")
-    assert record.attributes["scene_files"] == "unknown"
 
 
 def test_verification_blames_a_damaged_scene_and_night_gen_repairs_it(

@@ -13,13 +13,13 @@ def test_a_scene_that_cannot_be_rendered_leaves_the_others_alone(three_missing, 
     mesh = three_missing / "scenes" / "000004" / "hidden_object_0.ply"
     whole = mesh.read_bytes()
     mesh.write_bytes(whole[: len(whole) // 2])
-    done = render_here(three_missing, "--accept-edited")
+    done = render_here(three_missing, "--accept", "edited")
     assert done.returncode == 1
     assert done.stdout.startswith("2 scenes rendered, 4 were there")
     assert "000004" in done.stderr
     assert "Traceback" not in done.stderr
     assert "Traceback" in (three_missing / "renders" / "000004" / "failure.log").read_text()
-    mesh.write_bytes(whole)  # another scene than the one that failed: no --retry-failed needed
+    mesh.write_bytes(whole)  # another scene than the one that failed: no --again failed needed
     assert render_here(three_missing).stdout.startswith("1 scenes rendered, 6 were there")
     assert results(three_missing) == results(seven_renders)
 
@@ -30,7 +30,7 @@ def test_scenes_whose_description_is_gone_fail_alone(three_missing, seven_render
     shutil.copytree(scenes, kept)
     shutil.rmtree(scenes / "000004")
     (scenes / "000005" / "scene.json").unlink()
-    done = render_here(three_missing, "--accept-edited")
+    done = render_here(three_missing, "--accept", "edited")
     assert done.returncode == 1
     assert done.stdout.startswith("1 scenes rendered, 4 were there")
     assert re.search(r"failed: scene 000004: .*night-gen scenes again", done.stderr)

@@ -1,4 +1,4 @@
-"""``night-render --json``: the result as one object on stdout, whose keys docs/files.md lists."""
+"""``night-render --json``: the result as one object on stdout, whose keys docs/reference/files.md lists."""
 
 import json
 import re
@@ -103,7 +103,7 @@ def test_a_refusal_prints_no_object(seven_renders, words):
 
 
 def test_the_keys_are_documented():
-    page = (ROOT / "docs" / "files.md").read_text()
+    page = (ROOT / "docs" / "reference" / "files.md").read_text()
     section = page[page.index("## Results as JSON") :]
     named = set(re.findall(r"`(\w+)`", section))
     assert set() == (RUN | SETTING | PLAN | STATUS | VERIFICATION) - named

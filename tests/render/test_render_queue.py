@@ -18,8 +18,8 @@ def both(seven_scenes, render_cluster, tmp_path_factory):
     data = shutil.copytree(seven_scenes, tmp_path_factory.mktemp("both") / "data")
     mesh = data / "scenes" / BROKEN / "hidden_object_0.ply"
     mesh.write_bytes(mesh.read_bytes()[:200])
-    processes = [start_render(data, "--accept-edited", "--scheduler", render_cluster) for _ in range(2)]
-    outputs = [process.communicate(timeout=120) for process in processes]
+    processes = [start_render(data, "--accept", "edited", "--cluster", render_cluster) for _ in range(2)]
+    outputs = [process.communicate(timeout=600) for process in processes]
     return data, [(process.returncode, *output) for process, output in zip(processes, outputs, strict=True)]
 
 
@@ -46,7 +46,7 @@ def test_two_commands_agree_that_a_scene_cannot_be_rendered(both):
 @pytest.mark.long
 def test_a_command_with_other_settings_does_not_disturb_a_run(three_missing, seven_renders, render_cluster):
     with claimed(three_missing / "renders", "000006"):  # the run waits for this scene
-        first = start_render(three_missing, "--scheduler", render_cluster)
+        first = start_render(three_missing, "--cluster", render_cluster)
         wait_for((three_missing / "renders" / "000005" / "render.json").exists)
         wait_for((three_missing / "renders" / "000004" / "render.json").exists)
         status = night_here("night-render", "status", three_missing)
@@ -54,16 +54,16 @@ def test_a_command_with_other_settings_does_not_disturb_a_run(three_missing, sev
     assert second.returncode == 2
     assert "another night-render is rendering" in second.stderr
     assert status.stdout.startswith("7 scenes: 6 done, 1 running, 0 failed, 0 missing")
-    output, errors = first.communicate(timeout=60)
+    output, errors = first.communicate(timeout=600)
     assert first.returncode == 0, errors
     assert output.startswith("3 scenes rendered, 4 were there")
     assert results(three_missing) == results(seven_renders)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_two_commands_with_local_workers_share_the_work(unrendered, seven_renders):
     processes = [start_render(unrendered), start_render(unrendered)]
-    outputs = [process.communicate(timeout=120) for process in processes]
+    outputs = [process.communicate(timeout=600) for process in processes]
     assert [process.returncode for process in processes] == [0, 0], outputs
     counts = [re.match(r"(\d+) scenes rendered, (\d+) were there", output) for output, _ in outputs]
     assert sum(int(match[1]) for match in counts) == 7

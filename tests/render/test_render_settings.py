@@ -19,10 +19,10 @@ FEWER = ["--lights", "64", "--device", "cpu"]
 def test_other_settings_replace_nothing_unasked(rendered_copy, seven_renders, render_here):
     refused = render_here(rendered_copy, *FEWER)
     assert refused.returncode == 2
-    assert "--replace" in refused.stderr
+    assert "--again changed" in refused.stderr
     assert results(rendered_copy) == results(seven_renders)
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
-    done = render_here(rendered_copy, "--replace", "--only", "000003", *FEWER)
+    done = render_here(rendered_copy, "--again", "changed", "--only", "000003", *FEWER)
     assert done.stdout.startswith("1 scenes rendered")
     assert '"lights": 64' in read_record(rendered_copy / "renders" / "000003").recipe
 
@@ -161,4 +161,4 @@ def test_renders_of_versions_that_divided_every_edge_finely_are_not_made_again(r
         write_record(folder, replace(record, recipe=record.recipe.replace('"edge_divisions": 6, ', "")))
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
     refused = render_here(rendered_copy, "--error", "0.1")
-    assert "--replace" in refused.stderr
+    assert "--again changed" in refused.stderr

@@ -54,7 +54,9 @@ def test_workers_that_grow_make_way_for_fresh_ones_and_render_the_same(three_mis
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough), 4])
+@pytest.mark.parametrize(
+    "workers", [2, *(pytest.param(count, marks=pytest.mark.thorough) for count in (1, 4))]
+)
 def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_renders, workers):
     done = night("night-render", unrendered, *SETTINGS, "--workers", workers)
     assert done.returncode == 0, done.stderr
@@ -64,13 +66,13 @@ def test_results_do_not_depend_on_the_number_of_local_workers(unrendered, seven_
 
 def test_a_scheduler_that_is_not_there_is_named(unrendered, monkeypatch):
     monkeypatch.setattr("render.farm.scheduler_address.CONNECT_S", 0.5)
-    done = night_here("night-render", unrendered, "--scheduler", "tcp://127.0.0.1:9")
+    done = night_here("night-render", unrendered, "--cluster", "tcp://127.0.0.1:9")
     assert done.returncode == 2
     assert "Error: no Dask scheduler answers at tcp://127.0.0.1:9" in done.stderr
 
 
 def test_wrong_workers_leave_no_settings_for_the_next_run(unrendered):
-    for wrong in (["--scheduler", "nonsense"], ["--cluster", "nowhere.toml"]):
+    for wrong in (["--cluster", "x://nonsense"], ["--cluster", "nowhere.toml"]):
         done = night_here("night-render", unrendered, "--resolution", "20x15", *wrong)
         assert done.returncode == 2
     assert not (unrendered / "renders").exists()
@@ -143,7 +145,7 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
     assert again.returncode == 1
     assert again.stdout.startswith("0 scenes rendered, 6 were there")
     assert "1 scenes failed earlier" in again.stderr
-    healed = render_here(data, "--retry-failed")
+    healed = render_here(data, "--again", "failed")
     assert healed.returncode == 0, healed.stderr
     assert results(data) == results(seven_renders)
 
@@ -194,7 +196,7 @@ def test_attempts_are_those_that_began(three_missing, tmp_path):
     assert failure.attempts == 2
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_worker_that_is_slow_to_come_back_is_waited_for(three_missing):
     process = start_render(three_missing)
     claim = claim_of(three_missing, "000004")

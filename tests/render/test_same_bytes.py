@@ -1,29 +1,23 @@
-"""The same seed gives the same bytes as ever: scenes on any machine, renders on machines that round alike.
+"""The same seed gives the same as ever: scenes to the byte, renders as far as rounding allows.
 
-``tests/golden`` holds SHA-256 of every file of two small datasets. Those of renders are there for each
-machine that recorded them; for machines that round in yet another way, there are the phasors of three
-scenes. A change that is meant to change these files makes them again; --add records the renders of one more
-machine:
+``tests/golden`` holds SHA-256 of every file of the scenes of two small datasets, and the phasors of three of
+their renders. Bytes of renders are not recorded: their kernels are compiled for the processor at hand, and
+each kind of processor rounds in its own way. A change that is meant to change these files makes them again:
 
     python tests/render/test_same_bytes.py
-    python tests/render/test_same_bytes.py --add
 """
 
-import argparse
 import json
 import shutil
 import sys
 import tempfile
 import tomllib
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.linalg  # noqa: F401  (so that its library of linear algebra is loaded, as in a render)
 from night_commands import PRESET, night
 from render_runs import SETTINGS
-from threadpoolctl import threadpool_info
 
 from itof import read_image
 from render.backend import select_variant
@@ -34,10 +28,9 @@ from scenegen import open_dataset
 from storage import sha256_of
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-HASHES, REFERENCE = GOLDEN / "bytes.json", GOLDEN / "reference.npz"
+HASHES, REFERENCE = GOLDEN / "scenes.json", GOLDEN / "reference.npz"
 ONE_SCENE = PRESET.replace("count = 7", "count = 1")
 PATHS = ["--method", "path", "--spp", "16", "--device", "cpu"]
-PACKAGES = ("numpy", "mitsuba", "mitransient", "drjit", "OpenEXR", "bpy")
 PIXELS = (("many", "000000"), ("many", "000003"), ("path", "000000"))  # of the reference
 
 
@@ -50,35 +43,9 @@ def datasets(seven_renders, make_dataset, render_here):
     return {"many": seven_renders, "path": one}
 
 
-@pytest.fixture(scope="module")
-def golden():
-    return json.loads(HASHES.read_text())
-
-
-def hashes(root, kind):
-    """SHA-256 of every file of the scenes, or of the renders, of a dataset, by path."""
-    return {file.relative_to(root).as_posix(): sha256_of(file) for file in sorted(root.glob(f"{kind}/0*/*"))}
-
-
-def machine():
-    """What decides how renders are rounded: kernels are compiled for the processor at hand.
-
-    The libraries of linear algebra choose theirs by the model of the processor, not by its features.
-    """
-    import drjit
-
-    assert drjit.has_backend(drjit.JitBackend.LLVM)  # which loads the library
-    features = np.core._multiarray_umath.__cpu_features__
-    return {
-        "processor": sorted(name for name, present in features.items() if present),
-        "linear_algebra": sorted(
-            f"{library['internal_api']} {library['version']} {library['architecture']}"
-            for library in threadpool_info()
-            if library["user_api"] == "blas"
-        ),
-        "llvm": ".".join(str(part) for part in drjit.detail.llvm_version()),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
+def hashes(root):
+    """SHA-256 of every file of the scenes of a dataset, by path."""
+    return {file.relative_to(root).as_posix(): sha256_of(file) for file in sorted(root.glob("scenes/0*/*"))}
 
 
 def pixels(datasets):
@@ -92,17 +59,8 @@ def pixels(datasets):
 
 
 @pytest.mark.parametrize("name", ["many", "path"])
-def test_scenes_are_the_same_bytes_as_ever(datasets, golden, name):
-    assert hashes(datasets[name], "scenes") == golden["scenes"][name]
-
-
-@pytest.mark.parametrize("name", ["many", "path"])
-def test_renders_are_the_same_bytes_as_ever_on_machines_that_round_alike(datasets, golden, name):
-    here = machine()
-    recorded = [record for record in golden["renders"] if record["machine"] == here]
-    if not recorded:
-        pytest.skip(f"no renders were recorded on a machine like this one, {here}: add them with --add")
-    assert hashes(datasets[name], "renders") == recorded[0][name]
+def test_scenes_are_the_same_bytes_as_ever(datasets, name):
+    assert hashes(datasets[name]) == json.loads(HASHES.read_text())[name]
 
 
 def test_renders_are_the_same_pixels_as_ever_on_all_machines(datasets):
@@ -147,28 +105,9 @@ def test_files_do_not_depend_on_the_number_of_threads(seven_scenes, tmp_path, op
 def write_golden(datasets):
     """Record datasets as those that all later ones must equal."""
     GOLDEN.mkdir(exist_ok=True)
-    write_hashes({name: hashes(root, "scenes") for name, root in datasets.items()}, [renders(datasets)])
+    scenes = {name: hashes(root) for name, root in datasets.items()}
+    HASHES.write_text(json.dumps(scenes, indent=1) + "\n")
     np.savez_compressed(REFERENCE, **pixels(datasets))
-
-
-def add_to_golden(datasets):
-    """Record the renders of this machine, too; scenes and pixels must be those that are recorded."""
-    golden = json.loads(HASHES.read_text())
-    for name in datasets:
-        test_scenes_are_the_same_bytes_as_ever(datasets, golden, name)
-    test_renders_are_the_same_pixels_as_ever_on_all_machines(datasets)
-    here = renders(datasets)
-    others = [record for record in golden["renders"] if record["machine"] != here["machine"]]
-    write_hashes(golden["scenes"], [*others, here])
-
-
-def renders(datasets):
-    """The machine, and SHA-256 of the renders of each dataset."""
-    return {"machine": machine(), **{name: hashes(root, "renders") for name, root in datasets.items()}}
-
-
-def write_hashes(scenes, machines):
-    HASHES.write_text(json.dumps({"scenes": scenes, "renders": machines}, indent=1) + "\n")
 
 
 def make(folder):
@@ -188,11 +127,8 @@ def make(folder):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--add", action="store_true", help="keep what other machines recorded")
-    record = add_to_golden if parser.parse_args().add else write_golden
     work = Path(tempfile.mkdtemp())
     try:
-        record(make(work))
+        write_golden(make(work))
     finally:
         shutil.rmtree(work)

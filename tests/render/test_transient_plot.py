@@ -65,7 +65,7 @@ def test_the_bins_after_the_direct_return_have_the_phasors_of_the_hidden_part(
     for name, chosen in (("hidden", is_hidden), ("direct", ~is_hidden)):
         exact = image.phasors(name)[0]
         z = phi.apply_streaming([np.where(chosen, transient_bins, 0)])
-        # 1 % of the hidden part, as for the whole transient (docs/rendering.md). A bin on the wrong side is
+        # 1 % of the hidden part, as for all bins (docs/science/renderer.md). A bin on the wrong side is
         # direct light, hundreds of times more, or hidden light that is missing here.
         hidden = np.linalg.norm(image.phasors("hidden")[0], axis=(0, 1))
         assert np.all(np.linalg.norm(z - exact, axis=(0, 1)) < 0.01 * hidden)

@@ -20,7 +20,6 @@ import model
 import render
 import scenegen
 import storage
-from scenegen.making.datasets import make_dataset
 
 PACKAGES = ("scenegen", "itof", "render", "model")
 # A dataset is made by `open_dataset` and `make_dataset`; its `root` is always a Path.
@@ -38,7 +37,6 @@ def public_functions():
                         yield f"{package.__name__}.{name}.{method}", function
             elif inspect.isfunction(offered):
                 yield f"{package.__name__}.{name}", offered
-    yield "scenegen.making.datasets.make_dataset", make_dataset
 
 
 def is_function(member):
@@ -94,8 +92,9 @@ def test_scenes_and_records_are_found_by_text(transient_dataset, tmp_path):
 def test_presets_are_found_by_objects(tmp_path):
     (tmp_path / "my.toml").write_text("[dataset]\ncount = 5\n")
     assert scenegen.load_preset(tmp_path / "my.toml") == scenegen.load_preset(str(tmp_path / "my.toml"))
-    (tmp_path / "net.toml").write_text("width = 3\n")
-    assert model.training_preset(tmp_path / "net.toml") == ({"width": 3}, str(tmp_path / "net.toml"))
+    (tmp_path / "net.toml").write_text("[network]\nwidth = 3\n")
+    found = model.training_preset(tmp_path / "net.toml")
+    assert found == ({"network": {"width": 3}}, str(tmp_path / "net.toml"))
 
 
 @pytest.mark.long
@@ -115,7 +114,8 @@ def test_images_and_exports_are_read_and_written_at_text(transient_dataset, tmp_
 @pytest.mark.usefixtures("one_thread")
 def test_runs_are_used_at_text(finished_run, exr, tmp_path):
     assert (
-        model.run_settings(str(finished_run))["width"] == model.load(str(finished_run)).config.settings.width
+        model.run_settings(str(finished_run))["network"]["width"]
+        == model.load(str(finished_run)).config.settings.network.width
     )
     for kind in (str, type(tmp_path)):
         out = kind(tmp_path / kind.__name__)
@@ -127,7 +127,9 @@ def test_runs_are_used_at_text(finished_run, exr, tmp_path):
 @pytest.mark.usefixtures("one_thread")
 def test_runs_are_made_and_judged_at_text(closed_form_scenes, tmp_path):
     run, report = str(tmp_path / "run"), str(tmp_path / "report")
-    settings = model.TrainSettings(width=2, max_epochs=1, device="cpu", progress=False)
+    settings = model.settings_from_dict(
+        {"network": {"width": 2}, "run": {"max_epochs": 1, "device": "cpu", "progress": False}}, "here"
+    )
     model.train(closed_form_scenes, run, settings)
     model.evaluate(run, closed_form_scenes, report, device="cpu", progress=False)
     model.export_onnx(run, str(tmp_path / "net.onnx"))
@@ -142,7 +144,7 @@ def test_a_dataset_is_made_in_one_call_also_from_a_script_that_guards_nothing(tm
     trimesh.creation.box().export(tmp_path / "box.ply")
     script = tmp_path / "script.py"
     script.write_text(
-        "from scenegen.making.datasets import make_dataset\n"
+        "from scenegen import make_dataset\n"
         f"dataset = make_dataset('made', {str(tmp_path / 'my.toml')!r}, progress=False)\n"
         "import sys\nassert 'bpy' not in sys.modules\nprint(dataset.sentence())\n"
     )

@@ -8,7 +8,7 @@ import sys
 import time
 from contextlib import contextmanager, suppress
 
-_START_S = 60  # the limit only keeps a broken test from hanging
+_START_S = 600  # the limit only keeps a broken test from hanging
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def dask_processes(folder, *workers, scheduler=()):
         for process in running:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)  # a nanny and its workers at once
-            process.wait(30)
+            process.wait(300)
 
 
 def _dask(kind, *arguments):

@@ -13,7 +13,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from storage import remove_leftovers, whole_files, whole_folder, write_text
+from storage import remove_leftovers, whole_folder, whole_writing, write_text
 
 # The calls that may change the disk or a lock.
 CALLS = ("mkdir", "openat", "write", "fsync", "rename", "renameat2", "unlink", "unlinkat", "rmdir", "flock")
@@ -56,7 +56,7 @@ def after_each_kill(kind, path):
     """What is at `path` after a kill before each of `EVENTS`, and after the recovery that follows."""
     write, old, new = KINDS[kind]
     if kind == "folder in two steps":
-        whole_files.exchange = lambda *_: False
+        whole_writing.exchange = lambda *_: False
     for number in itertools.count():
         write(path, old)
         if not killed_before(number, EVENTS, lambda: write(path, new)):

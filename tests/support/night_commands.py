@@ -29,7 +29,7 @@ bin_count = 1400
 
 # Two epochs, and a schedule that may go on for longer.
 TRAINING = ["--width", 4, "--max-epochs", 2, "--batch-size", 4, "--learning-rate", 1e-3]
-TRAINING += ["--schedule", "constant"]
+TRAINING += ["--set", "optimiser.schedule=constant"]
 _CHARTS = (
     "accuracy_histogram",
     "accuracy_paper",

@@ -84,11 +84,11 @@ def killed_in(process, claim, attempt=1):
     if worker is None:
         return False
     worker.kill()
-    psutil.wait_procs([worker], timeout=30)  # so that it is not listed any more
+    psutil.wait_procs([worker], timeout=300)  # so that it is not listed any more
     return True
 
 
-def wait_for(condition, seconds=90):
+def wait_for(condition, seconds=600):
     """Wait for something to happen; the limit only keeps a broken test from hanging."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

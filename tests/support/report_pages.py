@@ -88,6 +88,6 @@ def browse(page, profile, *flags):
         capture_output=True,
         text=True,
         check=True,
-        timeout=240,
+        timeout=600,
     )
     return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]

@@ -7,7 +7,7 @@ from itof import pixel_rays
 from scenegen import camera_axes, preset_from_dict, wall_normal
 
 SHOWN = FLIP | {"channels": "residual+wall", "reference": "self", "width": 4, "batch_size": 4, "block": 2}
-SHOWN |= {"target": "mask+depth", "loss": "bce+iou+depth", "noise_sigma": 0.0}
+SHOWN |= {"target": "mask+depth", "noise_sigma": 0.0}
 
 
 def preset(**tables):

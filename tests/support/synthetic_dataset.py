@@ -37,7 +37,7 @@ from scenegen import (
 from storage import write_text
 
 DISC_RADIUS_M = 0.3
-HIDDEN_FRACTION = 2e-3  # docs/design.md, Hidden signal is small
+HIDDEN_FRACTION = 2e-3  # docs/science/design.md, Hidden signal is small
 
 
 def write_synthetic_dataset(

@@ -1,13 +1,12 @@
 """``night-train`` as processes of their own, one or several of a training."""
 
-import json
 import os
 import subprocess
 import sys
 import time
 
 from night_commands import words
-from training_runs import FLIP, QUICK
+from training_runs import FLIP, preset_text, settings
 
 TORCHRUN = (sys.executable, *("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"))
 COURSE = FLIP | {"width": 4, "batch_size": 4}
@@ -16,8 +15,7 @@ COURSE = FLIP | {"width": 4, "batch_size": 4}
 def start(dataset, out, *options, launcher=(), environment=(), **changes) -> subprocess.Popen:
     """A process of ``night-train`` by `settings` with the same changes."""
     preset = out.with_suffix(".toml")
-    values = QUICK | COURSE | changes
-    preset.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items()))
+    preset.write_text(preset_text(settings(**COURSE | changes)))
     command = words("night-train", dataset.root, "--out", out, "--preset", preset, *options)
     with errors_of(out).open("a") as errors:
         return subprocess.Popen(

@@ -5,13 +5,15 @@ What is changed here gets a new checksum; a test of damage changes the bytes the
 
 import contextlib
 import json
+from dataclasses import asdict, is_dataclass
 
 import torch
 from safetensors.torch import load_file
 
 from model.run_folder.checksums import with_checksum
 from model.run_folder.weights import save_weights
-from model.settings import TrainSettings
+from model.settings.keys import all_keys, merged, tables
+from model.settings.train_settings import TrainSettings, flat_settings, settings_from_dict
 from model.training.checkpoint import save_checkpoint
 from model.training.loop import train
 
@@ -27,12 +29,58 @@ QUICK = {
     "rotation_deg": 180.0,
     "translation": 0.2,
 }
-
 SEEING = FLIP | {"width": 8, "batch_size": 2, "max_epochs": 10, "learning_rate": 2e-3}
+
+# A network like the paper's, with a plain optimiser and in float32: what the changes of a test begin with.
+PLAIN = {
+    "input": {"channels": {"kind": "paper+residual", "reference": "geometry", "bounce_images": False}},
+    "network": {"width": 32, "levels": 5, "negative_slope": 0.0, "block": 1},
+    "target": {"kind": "components"},
+    "optimiser": {
+        "algorithm": "adam",
+        "learning_rate": 1e-4,
+        "batch_size": 32,
+        "schedule": "constant",
+        "warm_up_epochs": 0.0,
+        "clip_norm": 0.0,
+        "ema_decay": 0.0,
+    },
+    "run": {"max_epochs": 1500, "patience": 150, "average_flip": False, "precision": "float32"},
+}
+NO_IMAGES = {"reference": "geometry", "bounce_images": False}
+OF_KIND = {
+    "residual": NO_IMAGES,
+    "paper+residual": NO_IMAGES,
+    "mask+depth": {"uncertainty": False, "smooth_l1_beta": 1.0},
+}
+# Names that tests use for keys of settings; the others are the last words of the keys.
+NAMES = {
+    "channels": "input.channels.kind",
+    "target": "target.kind",
+    "optimiser": "optimiser.algorithm",
+    "sensor": "augmentation.camera.sensor",
+    "sensor_capture": "augmentation.camera.empty_corner",
+}
+KEYS = {key.split(".")[-1]: key for key, _ in all_keys(TrainSettings) if ".sensor." not in key} | NAMES
+
+
+def as_tables(**changes) -> dict:
+    """Settings by their short names as tables, with the quiet choices of a test for each kind."""
+    data = tables({KEYS.get(name, name): value for name, value in changes.items()})
+    for table in (data.get("input", {}).get("channels", {}), data.get("target", {})):
+        table |= OF_KIND.get(table.get("kind"), {}) | table
+    return data
 
 
 def settings(**changes) -> TrainSettings:
-    return TrainSettings(**(QUICK | changes))
+    plain = {name: asdict(value) if is_dataclass(value) else value for name, value in changes.items()}
+    return settings_from_dict(merged(PLAIN, as_tables(**(QUICK | plain))), "a test")
+
+
+def preset_text(chosen: TrainSettings) -> str:
+    """A preset of these settings; TOML has no value for what is not set."""
+    values = {key: value for key, value in flat_settings(chosen).items() if value is not None}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
 def train_on_one_thread(dataset, out, **changes):
@@ -61,7 +109,7 @@ def edit_config(run, **changes) -> None:
 
 
 def edit_settings(run, **changes) -> None:
-    edit_config(run, settings=config_of(run)["settings"] | changes)
+    edit_config(run, settings=merged(config_of(run)["settings"], as_tables(**changes)))
 
 
 def edit_weights(run, change) -> None:

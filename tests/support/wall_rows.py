@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from itof import direct_phasors, phase_per_metre, split_components
+from itof import direct_phasors, phase_per_metre
 from itof.wall.expected_wall import ExpectedWall
 from model.data.augmentation import Draws
 from model.data.batches import Batch, BatchMaker
@@ -39,10 +39,10 @@ def measured_rows(count: int = 5) -> tuple[RowBlock, BatchMaker, np.ndarray, np.
     wall = ExpectedWall.of_camera(direct, FREQUENCIES_HZ, *args[2:3], *args[4:])
     maker = BatchMaker.for_shards(spec, FREQUENCIES_HZ, wall, torch.device("cpu"))
     truth = batch_of(count)
-    components = np.moveaxis(split_components(phasor), -1, 1).astype(np.float32)
     rows = RowBlock(
         tuple(range(count)),
-        torch.from_numpy(components),
-        *(truth.target, truth.radial_depth_m, truth.mask.to(torch.uint8)),
+        torch.from_numpy(phasor.astype(np.complex64)),
+        torch.complex(*truth.target.unbind(1)),
+        *(truth.radial_depth_m, truth.mask.to(torch.uint8)),
     )
     return rows, maker, phasor, direct

@@ -53,7 +53,18 @@ def put_object_behind_relay_wall(folder):  # where no light goes
 )
 def test_a_scene_that_many_light_cannot_render_says_why(pipeline_copy, render_here, edit, words):
     edit(pipeline_copy / "data" / "scenes" / "000001")
-    only = ("--replace", "--accept-edited", "--only", "000001", "--lights", "64", "--device", "cpu")
+    only = (
+        "--again",
+        "changed",
+        "--accept",
+        "edited",
+        "--only",
+        "000001",
+        "--lights",
+        "64",
+        "--device",
+        "cpu",
+    )
     done = render_here(pipeline_copy / "data", *only)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
@@ -130,7 +141,7 @@ def test_a_transient_of_a_damaged_time_axis_is_refused(pipeline_copy, tmp_path):
 def test_another_resolution_between_stages_is_refused(pipeline_copy, render_here):
     data, half = (
         pipeline_copy / "data",
-        ["--lights", 64, "--device", "cpu", "--resolution", "12x9", "--replace"],
+        ["--lights", 64, "--device", "cpu", "--resolution", "12x9", "--again", "changed"],
     )
     assert render_here(data, *half, "--only", "000001").returncode == 0
     message = refusal("night-train", data, "--out", pipeline_copy / "new")
@@ -190,5 +201,5 @@ def test_a_network_that_would_enlarge_every_image_is_refused(pipeline_copy):
 
 
 def test_a_loss_that_explodes_ends_a_training_in_one_sentence(pipeline, tmp_path):
-    out = ("--out", tmp_path / "run", *TRAINING, "--device", "cpu", "--noise-sigma", "1e300")
+    out = ("--out", tmp_path / "run", *TRAINING, "--device", "cpu", "--set", "augmentation.noise_sigma=1e300")
     assert "the loss became nan" in refusal("night-train", pipeline.folder / "data", *out)

@@ -8,7 +8,7 @@ from night_commands import TRAINING, night_here, refusal
 from scene_folders import contents
 
 from itof.capture.sidecar_files import load_sidecar
-from model.settings import training_preset
+from model.settings.presets import training_preset
 from storage import NightError
 
 DEVICE = ("--device", "cpu")
@@ -17,7 +17,7 @@ COMMANDS = {
     "preview": ("night-gen", "preview", "{data}", "--count", 1),
     "render": ("night-render", "{data}", *DEVICE),
     "dry run": ("night-render", "{data}", "--dry-run", *DEVICE),
-    "accept": ("night-render", "{data}", "--accept-edited", "--dry-run", *DEVICE),
+    "accept": ("night-render", "{data}", "--accept", "edited", "--dry-run", *DEVICE),
     "status": ("night-render", "status", "{data}"),
     "verify": ("night-render", "verify", "{data}"),
     "movie": ("night-render", "movie", "{data}", "000001", "--out", "{out}/movie.gif"),
@@ -135,7 +135,7 @@ def test_a_linked_file_of_a_run_is_not_written(hostile, tmp_path, name):
 
 @pytest.mark.parametrize("name", ["../base.toml", "{folder}/base.toml"])
 def test_a_training_preset_extends_one_of_its_folder(tmp_path, name):
-    (tmp_path / "base.toml").write_text("width = 2\n")
+    (tmp_path / "base.toml").write_text("[network]\nwidth = 2\n")
     preset = tmp_path / "mine" / "my.toml"
     preset.parent.mkdir()
     preset.write_text(f'extends = "{name.format(folder=tmp_path)}"\n')
@@ -147,10 +147,10 @@ def test_names_in_a_file_are_not_looked_for_in_the_current_folder(tmp_path, monk
     here, mine = tmp_path / "here", tmp_path / "mine"
     here.mkdir()
     mine.mkdir()
-    (here / "base.toml").write_text("width = 2\n")
+    (here / "base.toml").write_text("[network]\nwidth = 2\n")
     (here / "camera.toml").write_text("width = 640\nheight = 480\n")
     monkeypatch.chdir(here)
-    for key, name in (("extends", "base.toml"), ("sensor", "camera.toml")):
+    for key, name in (("extends", "base.toml"), ("augmentation.camera.sensor", "camera.toml")):
         (mine / "my.toml").write_text(f'{key} = "{name}"\n')
         with pytest.raises(NightError, match=f"there is no {name}: those that come with NIGHT are"):
             training_preset(mine / "my.toml")

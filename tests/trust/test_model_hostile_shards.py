@@ -37,7 +37,7 @@ def pickled(values):
 FORGED = {
     "claims more than it has": lambda values: npy(values, shape=HUGE),
     "claims fewer": lambda values: npy(values, shape=(1, *values.shape[1:])),
-    "another type": lambda values: npy(values.astype(np.float64)),
+    "another type": lambda values: npy(values.astype(np.complex128)),
     "another type of this size": lambda values: npy(
         values, descr=values.dtype.str.replace("f", "i")[:2] + "1"
     ),

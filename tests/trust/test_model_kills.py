@@ -54,11 +54,11 @@ def test_a_fine_tuning_that_is_killed_before_it_has_a_run_json_can_begin_again(
     assert (run / "history.csv").exists()
     assert not (run / "run.json").exists()
     tune()
-    assert len(read_history(run)["epoch"]) == settings().max_epochs
+    assert len(read_history(run)["epoch"]) == settings().run.max_epochs
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("first", [0, pytest.param(3, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("first", [0, 3])
 def test_a_training_that_is_killed_before_any_call_loses_nothing(
     closed_form_scenes, finished_run, tmp_path, first
 ):

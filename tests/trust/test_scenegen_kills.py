@@ -41,7 +41,7 @@ def test_a_kill_before_any_call_leaves_the_old_or_the_new_one(tmp_path, kind):
     assert left.count(None) == (kind == IN_TWO_STEPS)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed: apt-get install strace")
 def test_a_kill_at_every_system_call_leaves_the_old_or_the_new_one(tmp_path, kind):

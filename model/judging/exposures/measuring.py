@@ -61,7 +61,7 @@ class SceneCamera:
     ) -> MeasuredScene:
         """Measure a scene whose phasors (H, W, F) are `direct` + `hidden`."""
         once = Camera(replace(self.settings, frames=1), self.frequencies_hz).capture(phasor, rng)
-        seen = once.phasor
+        seen: Phasors = np.asarray(once.phasor)
         if self.settings.frames > 1:
             drift = self.settings.phase_drift_rad * rng.standard_normal(len(self.frequencies_hz))
             seen = self._mean_of(self.settings.frames, phasor * np.exp(1j * drift), rng)
@@ -69,8 +69,8 @@ class SceneCamera:
         return MeasuredScene(
             seen,
             corner,
-            float(np.median(once.signal_e)),
-            float(once.saturated.mean()),
+            float(np.median(np.asarray(once.signal_e))),
+            float(np.mean(np.asarray(once.saturated))),
             hidden_snr(self._binned, phasor, hidden),
         )
 
@@ -104,7 +104,7 @@ def hidden_snr(camera: BinnedCamera, phasor: Phasors, hidden: Phasors) -> tuple[
     strength of hidden light h whose shape is known is better than sqrt(sum |h|² / σ²) (Cramer-Rao). The
     first number is what one component of a pixel has of that on average. Infinite without noise.
     """
-    spread = camera.spread(phasor)
+    spread = np.asarray(camera.spread(phasor))
     if not (spread > 0).any():
         return float("inf"), float("inf")
     seen = camera.passed(hidden)

@@ -30,7 +30,7 @@ from model.network.channels import ChannelError
 from model.network.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from model.run_folder.shipped import run_folder
-from model.settings import DeviceName
+from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import MEASUREMENT_FILE, Dataset, Split
 from storage import PathLike, whole_folder

@@ -173,13 +173,12 @@ def calibration_curves(calibration: Calibration) -> tuple[Chart, ...]:
     )
 
 
-def training_curves(history: History, *, of_uncertainty: bool = False) -> tuple[Chart, ...]:
+def training_curves(history: History) -> tuple[Chart, ...]:
     """Losses, validation MAE and mIoU by epoch, the epoch of the kept weights marked; none without epochs.
 
     Parameters
     ----------
     history : columns of ``history.csv``; a chart whose columns are missing is left out.
-    of_uncertainty : whether only the uncertainty was trained.
     """
     losses: dict[str, tuple[str, Colour]] = {
         "train_loss": ("training", "truth"),
@@ -193,9 +192,8 @@ def training_curves(history: History, *, of_uncertainty: bool = False) -> tuple[
     kept = None
     if history.get("epoch") and history.get("validation_loss"):
         validation = history["validation_loss"]
-        unknown: Sequence[float | None] = [None] * len(validation)
-        uncertainty = history.get("validation_uncertainty") or unknown
-        kept = history["epoch"][kept_epoch(validation, uncertainty, of_uncertainty=of_uncertainty)]
+        uncertainty = history.get("validation_uncertainty") or [0.0] * len(validation)
+        kept = history["epoch"][kept_epoch(validation, uncertainty)]
     return tuple(
         _epochs(name, label, history, lines, kept)
         for name, (label, lines) in wanted.items()

@@ -69,16 +69,12 @@ def write_page(
     """
     figures = out / "figures"
     figures.mkdir()
-    of_uncertainty = config.settings.freeze == "all-but-uncertainty"
     charts = {
         "distributions": distributions(report),
         "roundness": (roundness_chart(report),),
         "uncertainty": (*uncertainty_charts(report), *depth_error_charts(report)),
         "thresholds": calibration_curves(report.calibration),
-        "training": training_curves(
-            history,
-            of_uncertainty=of_uncertainty,
-        ),
+        "training": training_curves(history),
     }
     every_chart = [chart for group in charts.values() for chart in group]
     for chart in every_chart:
@@ -108,7 +104,7 @@ def write_page(
         share_column=GROUP_HEAD.index("MAE, cm"),
         threshold=_threshold(report.calibration),
         depth_errors_m=report.depth_reliability.means_m if report.depth_reliability else None,
-        compares_mask_and_depth=any(history.get("validation_uncertainty", ())) and not of_uncertainty,
+        compares_mask_and_depth=any(history.get("validation_uncertainty", ())),
         calibration_error=report.reliability.calibration_error if report.reliability else None,
         configuration=_configuration(config, origin, report),
     )
@@ -200,7 +196,7 @@ def _configuration(config: RunConfig, origin: Mapping[str, Any], report: Report)
     judged = {
         **origin,
         "trained_on_these_data": config.data_sha256 == origin["data_sha256"]
-        if config.settings.ground_truth == "geometry"
+        if config.settings.run.ground_truth == "geometry"
         else "not compared: the ground truth of the training was the simulated one",
         "split": report.split,
         "mask_from": report.calibration.judged_readout.mask_from,

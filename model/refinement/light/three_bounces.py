@@ -10,7 +10,7 @@ x that a pixel sees:
 over the direct light f(r_x, r_x) cos_x Φ / t_x², with visibility as 0 or 1. The sums are quadratures over the
 film and over the surfaces: a few hundred points each suffice for 1 % of the hidden light.
 
-Source: the estimator of docs/rendering.md, with fixed points in place of random ones; flat walls only.
+Source: the estimator of docs/science/renderer.md, with fixed points in place of random ones; flat walls only.
 """
 
 from __future__ import annotations

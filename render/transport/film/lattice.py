@@ -1,7 +1,7 @@
 """A lattice over the film, and interpolation from its nodes with cubic splines.
 
 The ratio of the hidden signal to a carrier varies slowly over the relay wall, so it is computed at the nodes
-of a coarse lattice only (docs/rendering.md, Lattice). Nothing here knows Mitsuba.
+of a coarse lattice only (docs/science/renderer.md, Lattice). Nothing here knows Mitsuba.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """DrJit kernels. Import the modules late, after a Mitsuba variant is set.
 
 Numbers that change from scene to scene are passed as arrays or through `dr.opaque`: a Python number becomes a
-literal in the kernel, which is then compiled again (docs/design.md, DrJit). May import nothing of NIGHT.
+literal in the kernel, which is then compiled again (docs/science/design.md, DrJit). Imports nothing of NIGHT.
 """

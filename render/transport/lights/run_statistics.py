@@ -1,6 +1,6 @@
 """Error of the mean of independent runs, from their scatter.
 
-The runs that estimate the error are those whose mean is the result (docs/rendering.md, Error estimate).
+The runs that estimate the error are those of the result (docs/science/renderer.md, Error estimate).
 """
 
 from __future__ import annotations

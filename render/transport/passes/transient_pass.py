@@ -2,7 +2,7 @@
 
 The hidden signal is computed at the nodes of a lattice, on a time axis that is relative to the path over the
 middle of the lights. Relative to it, light arrives at neighbouring nodes at nearly the same time, so pixels
-are interpolated bin by bin. docs/rendering.md (Time-resolved output) derives this.
+are interpolated bin by bin. notebook/derivations.md (Time-resolved output) derives this.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ PREDICT = Job(
 TO_ITOF = Job("night-render convert --to itof", f"{_CONVERT}itof", ("new",), ("new",))
 TO_TAL = Job("night-render convert --to tal", f"{_CONVERT}tal", ("new",), ("new",))
 RENDER = Job(
-    *("night-render", "night-render data --retry-failed --ignore-space --scheduler {scheduler}"),
+    *("night-render", "night-render data --again failed --accept small-disk --cluster {scheduler}"),
     *(("data/renders",), ("data/renders/000001", "data/renders/rendering.json")),
     whole=False,
 )

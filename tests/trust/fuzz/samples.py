@@ -54,14 +54,19 @@ bin_count = 1000
 """
 TRAINING = """# A small network.
 extends = "default"
+[network]
 width = 2
+[run]
 max_epochs = 1
+[optimiser]
 batch_size = 3
 learning_rate = 1e-3
 schedule = "constant"
+[augmentation.paper]
 flip_columns = true
 rotation_deg = 90.0
-channels = "residual"
+[input]
+channels.kind = "residual"
 """
 CLUSTER = """jobqueue:
   slurm:

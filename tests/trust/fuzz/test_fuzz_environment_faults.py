@@ -15,7 +15,7 @@ from environment_faults import (
 )
 from jobs import DROP, EXPORT, FIVE, GEN, JUDGE, PREDICT, TO_ITOF, TO_TAL, TRAIN, Stage
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.thorough
 PLACES = {GEN: 6, TRAIN: 9, JUDGE: 3, PREDICT: 8, TO_ITOF: 7, TO_TAL: 7, EXPORT: 5}  # 45 in all
 
 

@@ -8,7 +8,7 @@ import pytest
 from jobs import EXPORT, GEN, JUDGE, PREDICT, RENDER, TO_ITOF, TO_TAL, TRAIN, Stage
 from small_disk import small_disk
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.thorough
 PLACES = {GEN: 6, RENDER: 6, TRAIN: 8, JUDGE: 3, PREDICT: 7, TO_ITOF: 5, TO_TAL: 5, EXPORT: 5}  # 45 in all
 ROOM = 500_000_000  # bytes; enough for everything
 PAGE = 4096

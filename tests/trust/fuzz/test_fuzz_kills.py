@@ -5,7 +5,7 @@ import pytest
 from conftest import FIRST_SEED, KILLS
 from jobs import FIVE, Stage
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.thorough
 
 
 @pytest.mark.parametrize("job", FIVE, ids=lambda job: job.name)

@@ -16,10 +16,10 @@ from jobs import GEN, JUDGE, RENDER, TRAIN, Stage
 from night_commands import night, words
 from render_runs import SETTINGS, results, start_render, workers_of
 
-pytestmark = pytest.mark.long
-MODULES = ("cli", "commandline", "scenegen", "itof", "render", "model")
+MODULES = ("cli", "commandline", "storage", "processes", "scenegen", "itof", "render", "model")
+pytestmark = pytest.mark.thorough
 COMMANDS = ("night-gen", "night-render", "night-train", "night-eval")
-RENDER_HERE = replace(RENDER, command="night-render data --retry-failed --workers 1 --device cpu")
+RENDER_HERE = replace(RENDER, command="night-render data --again failed --workers 1 --device cpu")
 BARE = {name: value for name, value in os.environ.items() if name not in ("HOME", "USER", "LOGNAME")}
 
 
@@ -85,6 +85,6 @@ def kill_one(process, rng, *, is_worker):
         workers[int(rng.integers(len(workers)))].kill()
         return "worker"
     process.kill()
-    psutil.wait_procs(workers, timeout=60)
+    psutil.wait_procs(workers, timeout=300)
     assert not any(worker.is_running() for worker in workers)
     return "command"

@@ -1,0 +1,76 @@
+"""What an installation without the extras can do, and what it says of the rest."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from night_commands import refusal
+from source_tree import ROOT, sources
+
+from itof.wall.expected_wall import ExpectedWall
+
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+COMMANDS = {
+    "cluster": ("night-render", "{data}"),
+    "report": ("night-eval", "night-40x30", "{data}", "--out", "{out}"),
+    "onnx": ("night-eval", "export", "night-40x30", "--out", "{out}.onnx"),
+}
+# Every public name is loaded, and a network predicts, where no package of an extra can be imported.
+WITHOUT_EXTRAS = """
+import sys
+for name in sys.argv[1].split(","):
+    sys.modules[name] = None
+import cli, itof, model, render, scenegen
+for package in (itof, model, render, scenegen):
+    for name in package.__all__:
+        getattr(package, name)
+cli.night_eval(["predict", "night-40x30", "corner.npz", "--out", "predicted", "--device", "cpu", "--force"])
+"""
+
+
+def packages_of(extra):
+    """Names by which the packages of an extra are imported."""
+    return [re.match(r"[\w-]+", each)[0].replace("-", "_") for each in EXTRAS[extra]]
+
+
+def test_the_packages_that_the_code_asks_for_are_those_of_the_extras():
+    asked = {}
+    for tree in sources().values():
+        for call in ast.walk(tree):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "need":
+                extra, packages = (ast.literal_eval(argument) for argument in call.args[:2])
+                asked.setdefault(extra, set()).update(packages)
+    assert {extra: sorted(packages) for extra, packages in asked.items()} == {
+        extra: packages_of(extra) for extra in ("cluster", "export", "onnx", "report")
+    }
+
+
+@pytest.mark.parametrize("extra", COMMANDS)
+def test_a_command_without_its_extra_ends_with_the_line_that_installs_it(
+    extra, seven_scenes, tmp_path, monkeypatch
+):
+    first = packages_of(extra)[0]
+    monkeypatch.setitem(sys.modules, first, None)
+    command = [word.format(data=seven_scenes, out=tmp_path / "out") for word in COMMANDS[extra]]
+    assert f"needs the package {first}: pip install 'night-nlos[{extra}]'" in refusal(*command)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_all_names_load_and_a_network_predicts_without_the_extras(tmp_path):
+    wall = ExpectedWall.of_plane([-0.5, 0.1, 0.6], 40, 30, (20e6, 50e6, 60e6), 60.0)
+    np.savez(tmp_path / "corner.npz", phasors=wall.direct, frequencies_hz=[20e6, 50e6, 60e6])
+    blocked = [name for extra in ("cluster", "export", "onnx", "report") for name in packages_of(extra)]
+    blocked.remove("jinja2")  # torch needs it, too
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS, ",".join(blocked)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "predicted" / "000000.exr").is_file()
