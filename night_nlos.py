@@ -45,7 +45,7 @@ def _run(program: str) -> None:
         if sys.stderr is not None:  # it was not closed, as by 2>&-
             sys.stderr.write(f"Error: {sentence}\n")
         sys.exit(_WRONG_INSTALLATION)
-    from commandline.surroundings import prepare_process
+    from commandline.streams_and_caches import prepare_process
 
     prepare_process()
     import cli

@@ -22,7 +22,7 @@ import numpy as np
 from reference_light import reference
 from seven_scenes import SCENES, made_datasets
 
-from itof import TransientLayout
+from itof import TransientLayout, megahertz
 from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight
@@ -47,7 +47,8 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         (dataset,) = made_datasets({Path(folder) / "scenes": {"dataset": {"count": given.pairs}}})
         rows = measured(dataset, given)
-    print(f"{given.size} pixels, {select_variant()}, frequencies {_mhz(dataset)} MHz")
+    frequencies = megahertz(*dataset.preset.itof.frequencies_hz)
+    print(f"{given.size} pixels, {select_variant()}, frequencies {frequencies}")
     held = [printed(error, [row for row in rows if row["wanted"] == error]) for error in given.error]
     sys.exit(0 if all(held) else 1)
 
@@ -144,10 +145,6 @@ def shares(rows: list[Row], wanted: float) -> tuple[float, float]:
         float(np.mean([row["true"] <= row["reported"] for row in rows])),
         float(np.mean([row["true"] <= wanted for row in rows])),
     )
-
-
-def _mhz(dataset: Dataset) -> str:
-    return ", ".join(f"{frequency / 1e6:g}" for frequency in dataset.preset.itof.frequencies_hz)
 
 
 if __name__ == "__main__":

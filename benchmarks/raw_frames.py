@@ -17,7 +17,7 @@ import numpy as np
 from itof import DepthMap, phasor_of_return, read_image
 from itof.sensor.camera import Camera
 from itof.sensor.cameras import load_sensor
-from itof.sensor.specimen import specimen
+from itof.sensor.random_camera import random_camera
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
 
 ROOM_M = 6.5  # what the mirror shows beside the object
@@ -48,7 +48,7 @@ def main() -> None:
     given = parser.parse_args()
     dataset = open_dataset(given.dataset)
     sensor = replace(load_sensor(given.sensor), scattering=LARGEST_SCATTERING)
-    sensor = specimen(sensor, np.random.default_rng([given.seed, 1]))
+    sensor = random_camera(sensor, np.random.default_rng([given.seed, 1]))
     frequencies_hz = dataset.preset.itof.frequencies_hz
     given.out.mkdir(parents=True)
     saturation = int(0.97 * (sensor.full_well_e / sensor.adc_e_per_dn + sensor.adc_offset_dn))

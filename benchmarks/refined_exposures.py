@@ -20,8 +20,8 @@ from refinement_limits import HEAD, Judged, judgement, single_solids, sizes_of, 
 
 from itof import read_image
 from itof.sensor.cameras import load_sensor
+from itof.sensor.random_camera import random_camera
 from itof.sensor.settings import SensorSettings
-from itof.sensor.specimen import specimen
 from itof.wall.empty_corner import captured_wall
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
@@ -48,7 +48,7 @@ def main() -> None:
     given = parser.parse_args()
     dataset = open_dataset(given.dataset)
     shards, predictor = open_shards(dataset), load(given.run)
-    sensor = specimen(load_sensor(given.sensor), np.random.default_rng([given.seed, 1]))
+    sensor = random_camera(load_sensor(given.sensor), np.random.default_rng([given.seed, 1]))
     if given.no_drift:
         sensor = replace(sensor, phase_drift_rad=0.0)
     rows = single_solids(dataset, shards, given.scenes)

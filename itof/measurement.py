@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from itof.light import SPEED_OF_LIGHT, phase_per_metre
+from itof.light import SPEED_OF_LIGHT, megahertz, phase_per_metre
 from itof.splat import Splat, splat_transfer
 
 
@@ -53,8 +53,8 @@ class MeasurementMatrix:
         too_fast = [f for f in self.frequencies_hz if f >= limit_hz]
         if too_fast:
             raise ValueError(
-                f"bins of {self.bin_width_m} m cannot resolve {too_fast[0] / 1e6:g} MHz: "
-                f"use frequencies below {limit_hz / 1e6:g} MHz or narrower bins"
+                f"bins of {self.bin_width_m} m cannot resolve {megahertz(too_fast[0])}: "
+                f"use frequencies below {megahertz(limit_hz)} or narrower bins"
             )
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof.capture.sidecar import CaptureError
+from itof.light import megahertz
 
 MIXED: Final = 1.1  # brightness of a frame over that of another; emitters drift by a few per cent
 NO_LIGHT: Final = "holds no light: a dark frame? take it out of the frames"
@@ -76,7 +77,7 @@ def average(
         brightness.append(np.where(power > 0, np.abs(ratio), 1.0))
         across += weight * (z * np.exp(-1j * drift[-1]) * direction.conj()).imag ** 2
     for place, frequency_hz in enumerate(frequencies_hz):
-        _refuse_mixed(np.array(brightness)[:, place], f"{source}: at {frequency_hz / 1e6:g} MHz")
+        _refuse_mixed(np.array(brightness)[:, place], f"{source}: at {megahertz(frequency_hz)}")
     noise = None
     if len(weights) > 1:
         variance = across / (len(weights) - 1)

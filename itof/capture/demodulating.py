@@ -15,6 +15,7 @@ from itof.capture.averaging import NO_LIGHT
 from itof.capture.phase_steps import phasor_weights
 from itof.capture.raw_frames import RawFrames
 from itof.capture.sidecar import CaptureError, Sidecar
+from itof.light import megahertz
 
 _STUCK = 0.01  # response of a tap over that of the taps that respond most
 _WHOLE_TURN = 1.05  # periods that phases may span, with some slack for offsets
@@ -182,7 +183,7 @@ def _refuse_silent(raw: RawFrames, sidecar: Sidecar, usable: Mask) -> None:
         one = judged[0, place][..., usable].reshape(-1)[0]
         if all((frame[place][..., usable] == one).all() for frame in judged):
             raise CaptureError(
-                f"{raw.source}: every number at {frequency_hz / 1e6:g} MHz is {one:g}: a "
+                f"{raw.source}: every number at {megahertz(frequency_hz)} is {one:g}: a "
                 "missing frequency? capture it, or take it out of frequencies_hz and of the file"
             )
     if sidecar.layout != "taps" or len(sidecar.taps) < 2:
@@ -192,7 +193,7 @@ def _refuse_silent(raw: RawFrames, sidecar: Sidecar, usable: Mask) -> None:
     for place, tap in zip(*np.nonzero(silent), strict=True):
         raise CaptureError(
             f"{raw.source}: tap {tap} does not change with the light at "
-            f"{sidecar.frequencies_hz[place] / 1e6:g} MHz: is it stuck, or are axes or taps_rad wrong?"
+            f"{megahertz(sidecar.frequencies_hz[place])}: is it stuck, or are axes or taps_rad wrong?"
         )
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from itof import combined_range_m
 from itof.arrays import Floats, Phasors
 from itof.capture.facts import CaptureFacts, milliradians
+from itof.light import megahertz
 from itof.wall.brightness import DEAD_NOTED, SATURATED_NOTED, brightness_findings
-from itof.wall.finding import Finding, length, megahertz
+from itof.wall.finding import Finding, length
 from itof.wall.plausibility import MISFIT_NOTED_RAD, SCATTER_REFUSED_RAD
 from itof.wall.unknown_wall import see_wall
 from itof.wall.wall_fit import RobustFit, without_unit
@@ -105,7 +106,7 @@ def _no_wall(fit: RobustFit) -> Finding:
     wrong = [f for f, part in zip(frequencies_hz, share, strict=True) if part < WALL_SHARE]
     words = "no wall found: the phases are not those of a flat wall that fills the image"
     if len(wrong) < len(frequencies_hz):
-        words = f"no wall found at {megahertz(wrong)}: the phases are not those of the wall at the others"
+        words = f"no wall found at {megahertz(*wrong)}: the phases are not those of the wall at the others"
     words += ": is the camera turned to the wall, and are axes, steps and signs of the sidecar right?"
     return Finding("no-wall", words, True)
 
@@ -133,7 +134,7 @@ def _shape(fit: RobustFit, noise_rad: Floats) -> Iterator[Finding]:
     bump_m = fit.residual_rad @ slope / (slope @ slope)  # (H, W) least squares
     left = fit.residual_rad - bump_m[..., None] * slope
     unexplained = _smooth_rms(fit, left, _local_rms(fit, left))
-    phases = f"{milliradians(tuple(smooth.tolist()))} at {megahertz(fit.wall.frequencies_hz)}"
+    phases = f"{milliradians(tuple(smooth.tolist()))} at {megahertz(*fit.wall.frequencies_hz)}"
     if len(smooth) > 1 and unexplained.max() > _EXPLAINED * smooth.max():
         words = f"the phases leave those of a flat wall by {phases}, and no shape of the wall explains it: "
         words += "a camera whose waves are not sinusoidal (wiggling), or light scattered in the lens?"
@@ -168,7 +169,7 @@ def _capture(facts: CaptureFacts | None, fit: RobustFit, noise_rad: Floats) -> I
         return
     if max(facts.drift_rad) > MISFIT_NOTED_RAD:
         words = (
-            f"the phases drift by {milliradians(facts.drift_rad)} at {megahertz(fit.wall.frequencies_hz)} "
+            f"the phases drift by {milliradians(facts.drift_rad)} at {megahertz(*fit.wall.frequencies_hz)} "
         )
         words += f"within {facts.frames} frames: let the camera warm up, or capture for a shorter time"
         yield Finding("drift", words, False)

@@ -16,7 +16,6 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
+from itof.light import exact_megahertz
 from storage.machine_memory import memory_shortage
 
 _COPIES = 4  # of the channels, while phasors are made of them
@@ -72,16 +72,10 @@ def phasor_channels(
     z = np.asarray(phasor)
     channels: dict[str, NDArray[np.float32]] = {}
     for index, frequency_hz in enumerate(frequencies_hz):
-        label = f"{prefix}.{_megahertz(frequency_hz)}MHz"
+        label = f"{prefix}.{exact_megahertz(frequency_hz)}MHz"
         channels[f"{label}.Re"] = z[..., index].real.astype(np.float32)
         channels[f"{label}.Im"] = z[..., index].imag.astype(np.float32)
     return channels
-
-
-def _megahertz(frequency_hz: float) -> str:
-    """20e6 as "20", 62.5e6 as "62.5": decimal digits, which division by a float 1e6 would not keep."""
-    digits = format(Decimal(repr(float(frequency_hz))).scaleb(-6), "f")
-    return digits.rstrip("0").rstrip(".") if "." in digits else digits
 
 
 def write_image(

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from itof.arrays import Complex, Numbers, Phasors
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.measurement_process import FileContents, read_contents
+from itof.light import megahertz
 from storage import NightError, PathLike
 
 _ENDINGS = (".exr", ".npz", ".h5", ".hdf5")
@@ -73,7 +73,7 @@ class Measurement:
             is_megahertz = found.max() < 1e4  # no camera modulates below 10 kHz
             hint = "; frequencies_hz is in Hz, not MHz" if is_megahertz else ""
             raise MeasurementError(
-                f"{self.path} holds {_megahertz(found)}, the network also needs {_megahertz(missing)}{hint}"
+                f"{self.path} holds {megahertz(*found)}, the network also needs {megahertz(*missing)}{hint}"
             )
         reference = None if self.reference is None else self.reference[..., nearest]
         return replace(
@@ -176,7 +176,3 @@ def _refuse_not_finite(path: Path, name: str, images: Numbers) -> None:
         if bad:
             where = f"image {index} of {name}" if len(images) > 1 else name
             raise MeasurementError(f"{path}: {where} holds {bad} values that are NaN or infinite")
-
-
-def _megahertz(frequencies_hz: Sequence[float] | NDArray[np.float64]) -> str:
-    return ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz) + " MHz"

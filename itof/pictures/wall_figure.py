@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from itof.light import megahertz
 from itof.pictures.figures import BACKGROUND, plain
-from itof.wall.finding import megahertz
 from itof.wall.plausibility import describe_shift
 from itof.wall.wall_fit import RobustFit
 
@@ -43,7 +43,7 @@ def draw_residual(figure: Figure, panels: Sequence[Axes], fit: RobustFit) -> Non
         shown = np.where(lit, left_mrad[..., place], np.nan)
         image = axes.imshow(shown, vmin=-limit, vmax=limit, cmap="RdBu_r", interpolation="nearest")
         rms_mrad = 1e3 * fit.residual_rms_rad[place]
-        axes.set_title(f"{megahertz([frequency_hz])}, rms {rms_mrad:.2g} mrad", fontsize=11)
+        axes.set_title(f"{megahertz(frequency_hz)}, rms {rms_mrad:.2g} mrad", fontsize=11)
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_facecolor(BACKGROUND)

@@ -59,21 +59,21 @@ class BinnedCamera:
     def __post_init__(self) -> None:
         self.settings.binning(self.width, self.height)
 
-    def mean(self, phasor: PhasorsOf[A], specimens: Sequence[SensorSettings] | None = None) -> PhasorsOf[A]:
+    def mean(self, phasor: PhasorsOf[A], cameras: Sequence[SensorSettings] | None = None) -> PhasorsOf[A]:
         """(..., H, W, F) complex mean of the phasors that the camera gives, without drift of its phases.
 
         Parameters
         ----------
         phasor : (..., H, W, F) complex phasors of scenes.
-        specimens : for phasors (N, H, W, F), the N cameras that measure them, each of which is a
-            `itof.sensor.specimen.specimen` of the settings. Their contrast, waves, scattering and
+        cameras : for phasors (N, H, W, F), the N cameras that measure them, each of which is a
+            `itof.sensor.random_camera` of the settings. Their contrast, waves, scattering and
             `wiggling_left` count, the rest is that of the settings; the firmware knows its contrast.
         """
         xp = array_namespace(phasor)
-        cameras = None if specimens is None else _Specimens(xp, phasor, self.settings, specimens)
-        light = self._behind_lens(xp, phasor, None if cameras is None else cameras.scattering)
+        own = None if cameras is None else _Cameras(xp, phasor, self.settings, cameras)
+        light = self._behind_lens(xp, phasor, None if own is None else own.scattering)
         images = [
-            self._demodulated(xp, light, place, frequency_hz, cameras)
+            self._demodulated(xp, light, place, frequency_hz, own)
             for place, frequency_hz in enumerate(self.frequencies_hz)
         ]
         seen = xp.asarray(self._averaged > 0, dtype=images[0].dtype, device=device(phasor))
@@ -135,7 +135,7 @@ class BinnedCamera:
         light: PhasorsOf[Array],
         place: int,
         frequency_hz: float,
-        cameras: _Specimens | None,
+        cameras: _Cameras | None,
     ) -> PixelsOf[Array]:
         """(..., H, W) phasors of one frequency that the firmware makes of the mean charges."""
         settings, z = self.settings, light[..., place]
@@ -185,7 +185,7 @@ class BinnedCamera:
         return (taps[0] - taps[1]) / self._electrons
 
 
-class _Specimens:
+class _Cameras:
     """What differs between the cameras of N images, as arrays (N, 1, 1) or (N, 1, 1, 1)."""
 
     def __init__(

@@ -24,6 +24,7 @@ from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 
 from itof.arrays import A, Array
+from itof.light import megahertz
 from itof.sensor.settings import SensorSettings
 
 Harmonics: TypeAlias = Mapping[int, float] | Mapping[int, Array]  # C_h / C_1 by h
@@ -139,7 +140,7 @@ def wiggling(
     seen = angle + np.unwrap(np.angle(error))
     if (np.diff(seen) <= 0).any():
         raise ValueError(
-            f"light of several phases gives the same measured phase at {frequency_hz / 1e6:g} MHz, which no "
+            f"light of several phases gives the same measured phase at {megahertz(frequency_hz)}, which no "
             "calibration undoes: use a larger emitter_duty or more phase_steps, or set wiggling_left to 1"
         )
     return seen, error

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class CapturedPlane:
         """Whether it is known better than a preset's wall usually is."""
         return self.error_m <= _LARGEST_ERROR_M
 
-    def as_data(self) -> dict[str, Any]:
+    def as_data(self) -> dict[str, object]:
         """Plane, 1/m, its error, metres (None: no wall is seen), and whether it is used, for JSON."""
         error_m = self.error_m if np.isfinite(self.error_m) else None
         return {"plane_per_m": self.plane_per_m.tolist(), "error_m": error_m, "used": self.is_certain}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -23,11 +22,6 @@ class Finding:
     code: str
     sentence: str
     refused: bool
-
-
-def megahertz(frequencies_hz: Iterable[float]) -> str:
-    """Frequencies as text: ``20, 50 MHz``."""
-    return ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz) + " MHz"
 
 
 def length(metres: float) -> str:

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof.arrays import Floats, Phasors
+from itof.light import megahertz
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.finding import megahertz
 from itof.wall.wall_fit import MOST_PIXELS
 
 Undo = Callable[[Phasors], Phasors]
@@ -168,6 +168,6 @@ def order_text(order: tuple[int, ...], frequencies_hz: tuple[float, ...]) -> str
         return ""
     given = [frequencies_hz[place] for place in moved]
     if len(moved) == 2:
-        return f"frequencies {given[0] / 1e6:g} and {given[1] / 1e6:g} MHz seem exchanged"
+        return f"frequencies {megahertz(*given, between=' and ')} seem exchanged"
     true = [frequencies_hz[order[place]] for place in moved]
-    return f"the frequencies seem to be in another order: {megahertz(given)} look like {megahertz(true)}"
+    return f"the frequencies seem to be in another order: {megahertz(*given)} look like {megahertz(*true)}"

@@ -16,10 +16,11 @@ from typing import Final
 import numpy as np
 
 from itof.arrays import Floats, Phasors
+from itof.light import megahertz
 from itof.unwrapping import combined_range_m
 from itof.wall.brightness import EVEN, brightness_findings
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.finding import Finding, length, megahertz
+from itof.wall.finding import Finding, length
 from itof.wall.phase_defects import alternatives, find_defects, mismatch
 from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import found, locate_wall
@@ -158,7 +159,7 @@ def _no_wall(phasor: Phasors, wall: ExpectedWall, compared: bool) -> Finding:
     for place, frequency_hz in enumerate(wall.frequencies_hz):
         alone, wall_alone = phasor[..., [place]], wall.at([place])
         if defects := find_defects(alone, wall_alone):
-            return Finding("convention", f"at {megahertz([frequency_hz])}: {alternatives(defects)}", True)
+            return Finding("convention", f"at {megahertz(frequency_hz)}: {alternatives(defects)}", True)
         good.append(found(locate_wall(alone, wall_alone)))
     right = [f for f, fits in zip(wall.frequencies_hz, good, strict=True) if fits]
     wrong = [f for f, fits in zip(wall.frequencies_hz, good, strict=True) if not fits]
@@ -167,11 +168,10 @@ def _no_wall(phasor: Phasors, wall: ExpectedWall, compared: bool) -> Finding:
         if len(wall.frequencies_hz) == 1:
             words += f" within {length(combined_range_m(wall.frequencies_hz))}, the unambiguous range"
     elif wrong:
-        words = (
-            f"no wall found at {megahertz(wrong)}: only the phases at {megahertz(right)} are those of a wall"
-        )
+        others = megahertz(*right)
+        words = f"no wall found at {megahertz(*wrong)}: only the phases at {others} are those of a wall"
     else:
-        words = f"no wall found: the phases at {megahertz(right)} are not those of the same wall"
+        words = f"no wall found: the phases at {megahertz(*right)} are not those of the same wall"
     return Finding("no-wall", words, True)
 
 
@@ -193,7 +193,7 @@ def _place(fit: RobustFit, compared: bool) -> Iterator[Finding]:
     else:
         code, what = (
             "phase-offsets",
-            f"the phases at {megahertz(fit.wall.frequencies_hz)} are off by {offsets} mrad ",
+            f"the phases at {megahertz(*fit.wall.frequencies_hz)} are off by {offsets} mrad ",
         )
         what += "since the reference" if compared else "everywhere"
     capture = (
@@ -229,7 +229,7 @@ def _scatter(fit: RobustFit) -> Iterator[Finding]:
     rms_rad = fit.residual_rms_rad
     if rms_rad.max() > SCATTER_NOTED_RAD:
         values = ", ".join(f"{1e3 * value:.0f}" for value in rms_rad)
-        at = megahertz(fit.wall.frequencies_hz)
+        at = megahertz(*fit.wall.frequencies_hz)
         words = f"the phases scatter by {values} mrad at {at} about those of the wall, far more than by "
         words += "hidden light: too noisy?"
         yield Finding("scatter", words, bool(rms_rad.max() > SCATTER_REFUSED_RAD))

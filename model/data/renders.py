@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import DepthMap, Image, ImageFileError, TransientReader, depth_from_phase, phase, read_image
+from itof import (
+    DepthMap,
+    Image,
+    ImageFileError,
+    TransientReader,
+    depth_from_phase,
+    megahertz,
+    phase,
+    read_image,
+)
 from model.settings.run import GroundTruth
 from scenegen import (
     GROUND_TRUTH_FILE,
@@ -209,8 +218,8 @@ def _refuse_other_frequencies(
 ) -> None:
     if found_hz != frequencies_hz:
         raise ShardError(
-            f"scene {scene}: {file} was rendered at {_megahertz(found_hz)}, the dataset asks for "
-            f"{_megahertz(frequencies_hz)}: render it again"
+            f"scene {scene}: {file} was rendered at {megahertz(*found_hz)}, the dataset asks for "
+            f"{megahertz(*frequencies_hz)}: render it again"
         )
 
 
@@ -218,7 +227,3 @@ def _refuse_not_finite(scene: str, file: Path, phasor: NDArray[np.complex64]) ->
     bad = int(np.count_nonzero(~np.isfinite(phasor)))
     if bad:
         raise ShardError(f"scene {scene}: {file} holds {bad} values that are NaN or infinite: {RENDER_AGAIN}")
-
-
-def _megahertz(frequencies_hz: tuple[float, ...]) -> str:
-    return ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz) + " MHz"

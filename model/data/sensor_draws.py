@@ -12,8 +12,8 @@ from torch import Tensor
 
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.demodulation import wiggling
+from itof.sensor.random_camera import random_camera
 from itof.sensor.settings import SensorSettings
-from itof.sensor.specimen import specimen
 from itof.weighted_reference import quotient
 from scenegen import Dataset
 
@@ -25,7 +25,7 @@ _STREAM = 3  # of a seed's random numbers, apart from those of the other augment
 class SensorDraws:
     """Measures each image with another camera of the type of the settings.
 
-    Each image has its own noise and drift of the phases, and its own `itof.sensor.specimen.specimen`: its
+    Each image has its own noise and drift of the phases, and its own `itof.sensor.random_camera`: its
     contrast, rise time, duty cycle, scattering, and part of the wiggling that the calibration leaves. The
     rest, such as the falloff of the lens, is that of the settings.
 
@@ -69,7 +69,7 @@ class _Drawn:
     def of(cls, seed: int, settings: SensorSettings, frequencies: int) -> _Drawn:
         """What a seed decides; more frequencies change nothing of the rest."""
         rng = np.random.default_rng(np.random.SeedSequence((seed, _STREAM)))
-        noise_seed, camera = int(rng.integers(2**62)), specimen(settings, rng)
+        noise_seed, camera = int(rng.integers(2**62)), random_camera(settings, rng)
         return cls(camera, settings.phase_drift_rad * rng.standard_normal(frequencies), noise_seed)
 
     def noise(self, like: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from array_api_compat import array_namespace, device, is_array_api_obj
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
+from itof import SubpixelWeights, megahertz, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.wall_fit import WallFit
@@ -153,7 +153,7 @@ class InputSpec:
         """
         missing = [f for f in self.frequencies_hz if f not in available_hz]
         if missing:
-            raise ChannelError(f"{_megahertz(missing)} MHz is not among {_megahertz(available_hz)} MHz")
+            raise ChannelError(f"{megahertz(*missing)} is not among {megahertz(*available_hz)}")
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
     def fit_of(self, phasor: Any, wall: ExpectedWall) -> WallFit:
@@ -234,7 +234,3 @@ class InputSpec:
                 wall = xp.astype((xp.real(inverse) - mean) / spread, xp.float32)  # (..., H, W, 1)
                 parts.append(xp.moveaxis(wall, -1, -3))
         return xp.concat(parts, axis=-3)
-
-
-def _megahertz(frequencies_hz: Sequence[float]) -> str:
-    return ", ".join(f"{f / 1e6:g}" for f in frequencies_hz)

@@ -79,7 +79,7 @@ class Comparison:
 
     def _hidden(self, guess: Guess) -> tuple[NDArray[np.complex128], float]:
         """(P, F) hidden over direct light, and the reflectance by which it is in proportion."""
-        white = self.bounces.ratio(guess.solids, guess.roughness)
+        white = self.bounces.over_direct(guess.solids, guess.roughness)
         if self.reflectance is not None:
             return self.reflectance * white, self.reflectance
         light = self.observed.of_model(white)

@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from itof import megahertz
 from model.device import plain_memory_errors
 from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config
@@ -54,8 +55,8 @@ class Start:
         ours, first = self.config.output_frequency_hz, frequencies_hz[0]
         if ours != first:
             raise RunError(
-                f"{self.origin.run} predicts at {ours / 1e6:g} MHz, and the first frequency of "
-                f"{dataset.root} is {first / 1e6:g} MHz: render the dataset at the frequencies of that run"
+                f"{self.origin.run} predicts at {megahertz(ours)}, and the first frequency of "
+                f"{dataset.root} is {megahertz(first)}: render the dataset at the frequencies of that run"
             )
         return self.config.inputs
 

@@ -150,7 +150,7 @@ def _other_run(renders: Path, others: str) -> OtherRunError:
 
 
 @contextmanager
-def noting(renders: Path) -> Iterator[None]:
+def rendering_record_locked(renders: Path) -> Iterator[None]:
     """Wait for the lock on ``rendering.json`` and hold it while the block runs."""
     renders.mkdir(exist_ok=True)  # no parents: a deleted dataset must not come back
     descriptor = open_lock_file(renders / _NOTE)

@@ -15,9 +15,9 @@ from render.farm.claims import joined_run, refuse_other_run
 from render.farm.clusters import check_cluster, connected
 from render.farm.inventory import Inventory, State
 from render.farm.jobs import GROWTH_BYTES, Outcome
-from render.farm.note import note_rendering, rendered_otherwise
 from render.farm.plan import Plan, make_plan
 from render.farm.queue import QueueError, RenderQueue, Tally
+from render.farm.rendering_record import record_rendering, rendered_otherwise
 from render.farm.run_log import LOG_FILE, log_file, log_outcome, logged
 from render.farm.run_result import RunResult
 from render.farm.submissions import Submissions
@@ -89,16 +89,16 @@ def render_dataset(
         result = RunResult(0, len(found.done), skipped_failures=found.skipped)
         if found.todo:
             plan = _checked_plan(dataset, settings, found, options, logged(say))
-            note_rendering(dataset, settings, whole, finished=False)
+            record_rendering(dataset, settings, whole, finished=False)
             try:
                 tally = _work(dataset, settings, found.todo, options)
             except QueueError:
                 if renders.is_dir():  # a deleted dataset must not come back
-                    note_rendering(dataset, settings, whole, finished=True)
+                    record_rendering(dataset, settings, whole, finished=True)
                 raise
             present = len(found.done) + tally.counts["present"]
             result = RunResult(tally.counts["rendered"], present, tally.failures, found.skipped, plan)
-        note_rendering(dataset, settings, whole, finished=True)
+        record_rendering(dataset, settings, whole, finished=True)
         log.info(
             "%d rendered, %d were there already, %d failed",
             result.rendered,

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from itof import DepthMap, phasor_channels, write_image
+from itof import DepthMap, megahertz, phasor_channels, write_image
 from itof.capture.record import read_import_record
 from itof.files.measurement_files import Measurement, read_measurement
 from itof.files.measurement_writing import ENDINGS
@@ -212,8 +212,8 @@ def _pair(
 ) -> Pair:
     lit = measurement.phasors.any(axis=(0, 1, 2))  # (F,)
     if not lit.all():
-        dark = " and ".join(f"{f / 1e6:g}" for f in np.array(measurement.frequencies_hz)[~lit])
-        raise MirrorError(f"{folder}: the measurement holds no light at {dark} MHz: capture it again")
+        dark = megahertz(*np.array(measurement.frequencies_hz)[~lit], between=" and ")
+        raise MirrorError(f"{folder}: the measurement holds no light at {dark}: capture it again")
     try:
         corner, hz = _corner_of(measurement), measurement.frequencies_hz
         truth = truth_of_mirror(mirror.phasors.mean(axis=0), corner, wall, region, hz)

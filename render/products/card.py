@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from itof import DEPTH_CHANNEL, MASK_CHANNEL, unambiguous_range_m
+from itof import DEPTH_CHANNEL, MASK_CHANNEL, megahertz, unambiguous_range_m
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
 from storage import NightError
@@ -152,7 +152,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
         error = f"median {rendering.hidden_error_median:.2%}"
         if rendering.hidden_error_max is not None:
             error += f", at most {rendering.hidden_error_max:.2%}"
-    hertz = ", ".join(f"{frequency_hz / 1e6:g} MHz" for frequency_hz in preset.itof.frequencies_hz)
+    hertz = megahertz(*preset.itof.frequencies_hz, between=" MHz, ")
     unambiguous_m = float(unambiguous_range_m(preset.itof.frequencies_hz[0]))
     of_light = [
         ("time axis", bins),

@@ -17,6 +17,7 @@ from itof import (
     ImageFileError,
     TransientLayout,
     TransientReader,
+    megahertz,
     phase_per_metre,
     pixel_types,
     splat_residue,
@@ -149,10 +150,10 @@ def wrong_transient(file: Path, image: Image, shape: tuple[int, int]) -> Iterato
             allowed = share * _norm(image.phasors("hidden")[0]) + parts * energy
         off = difference > allowed
         if off.any():
-            at = ", ".join(f"{f / 1e6:g}" for f in np.array(frequencies_hz)[off])
+            at = megahertz(*np.array(frequencies_hz)[off])
             times = (difference[off] / np.maximum(allowed[off], np.finfo(float).tiny)).max()
             yield (
-                f"{file.name}: its phasors at {at} MHz are not those of {MEASUREMENT_FILE} (they differ by "
+                f"{file.name}: its phasors at {at} are not those of {MEASUREMENT_FILE} (they differ by "
                 f"{times:.3g} times what bins, quadrature and rounding explain)"
             )
 

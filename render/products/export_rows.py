@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from render.products.deferred_error_file import hdf5_file
 from render.products.export_format import (
     ABOUT,
     DOCUMENTS,
@@ -29,7 +30,6 @@ from render.products.export_format import (
     ArrayKind,
 )
 from render.products.export_scenes import ExportedScene
-from render.products.patient_file import hdf5_file
 from scenegen import SceneEntry, Split
 
 _STREAMED = ("scene", "render")  # texts that are written row by row
@@ -44,7 +44,7 @@ class Rows:
     Attributes
     ----------
     file : the file, which is open.
-    raise_error : raises the first `OSError` of writing, if there was one (`PatientFile`).
+    raise_error : raises the first `OSError` of writing, if there was one (`DeferredErrorFile`).
     most : number of rows that there may be.
     entries, roughness : of the scenes that were added.
     shapes : shape of each array that has a row for each scene, by name, after `finish`.

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from itof import read_image
-from render.farm.claims import joined_run, noting
+from render.farm.claims import joined_run, rendering_record_locked
 from render.products.conversion import ExportError
 from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record, write_record, write_rendering_record
 from storage import remove_leftovers, sha256_of
@@ -57,7 +57,7 @@ def delete_transients(
         for scene_id in wanted:
             _refuse_without_images(dataset, scene_id)
             on_scene()
-        with noting(dataset.renders):
+        with rendering_record_locked(dataset.renders):
             rendering = dataset.rendering
             if rendering is not None and set(wanted) == set(dataset.ids()):
                 write_rendering_record(dataset.renders, replace(rendering, product="itof"))

@@ -107,7 +107,7 @@ HOME = {
     "OpenEXR": "itof/exr/library.py",
     "Imath": "itof/exr/library.py",
     "h5py": (
-        *("render/products/patient_file.py", "render/products/tal_export.py"),
+        *("render/products/deferred_error_file.py", "render/products/tal_export.py"),
         *("render/products/export_rows.py", "itof/files/hdf5_reading.py"),
         *("render/products/zarr_copy.py", "itof/files/measurement_writing.py"),
     ),

@@ -14,7 +14,7 @@ from night_commands import PRESET, TRAINING, night, words
 from source_tree import ROOMS, ROOT
 
 import night_nlos
-from commandline.surroundings import prepare_process
+from commandline.streams_and_caches import prepare_process
 from storage.private_folder import private_folder
 
 PROGRAMS = ("night-gen", "night-render", "night-train", "night-eval")
@@ -87,8 +87,8 @@ def test_a_closed_stream_changes_neither_exit_code_nor_the_other_streams(seven_r
 
 
 def test_nothing_is_printed_into_a_file_that_is_opened_in_place_of_a_closed_stream(tmp_path):
-    code = "import os, commandline.surroundings as s; s.prepare_process(); new = open('new', 'w'); print(1)"
-    write = "; os.write(1, b'x'); os.write(2, b'x')"
+    code = "import os, commandline.streams_and_caches as s; s.prepare_process(); new = open('new', 'w')"
+    write = "; print(1); os.write(1, b'x'); os.write(2, b'x')"
     done = shell(f'cd {tmp_path}; exec "$@" <&- >&- 2>&-', sys.executable, "-c", code + write)
     assert done.returncode == 0
     assert (tmp_path / "new").read_bytes() == b""
@@ -190,7 +190,7 @@ POOR = (
         *(pytest.param([line], id=line, marks=pytest.mark.thorough) for line in POOR),
     ],
 )
-def test_every_command_works_in_poor_surroundings(tmp_path, lines):
+def test_every_command_works_in_a_poor_environment(tmp_path, lines):
     for command, line in zip(every_command(tmp_path), itertools.cycle(lines), strict=False):
         done = shell(line, *command)
         assert done.returncode == 0, (command, line, done.stdout, done.stderr)

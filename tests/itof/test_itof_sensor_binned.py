@@ -11,8 +11,8 @@ from itof.sensor.camera import Camera
 from itof.sensor.cameras import load_sensor
 from itof.sensor.demodulation import first_harmonic, folded, phasor_of_differences, tap_differences
 from itof.sensor.noise import phase_noise_rad
+from itof.sensor.random_camera import random_camera
 from itof.sensor.settings import SensorSettings
-from itof.sensor.specimen import specimen
 
 HZ = (20e6, 50e6, 60e6)
 SMALL = SensorSettings(width=96, height=72, contrast=((20e6, 0.6), (60e6, 0.3)))
@@ -93,7 +93,7 @@ def test_its_noise_is_the_closed_form_over_the_averaged_pixels():
 def test_each_image_may_have_a_camera_of_its_own(changes):
     settings = replace(SMALL, **SQUARE, scattering=0.05, phase_steps=5, **changes)
     z = np.stack([scene(), scene()])
-    own = [specimen(settings, np.random.default_rng(seed)) for seed in range(2)]
+    own = [random_camera(settings, np.random.default_rng(seed)) for seed in range(2)]
     found = binned(settings).mean(z, own)
     for image, light, camera in zip(found, z, own, strict=True):
         alone = binned(camera).mean(light)  # by a firmware that knows its contrast
@@ -106,7 +106,7 @@ def test_each_image_may_have_a_camera_of_its_own(changes):
 
 def test_a_harmonic_that_the_type_lacks_counts_in_a_camera_of_it():
     settings = replace(SMALL, **SQUARE, emitter_duty=1 / 3, highest_harmonic=3)  # no third harmonic
-    own = [specimen(settings, np.random.default_rng(0))]
+    own = [random_camera(settings, np.random.default_rng(0))]
     gain = [first_harmonic(own[0], f) / first_harmonic(settings, f) for f in HZ]
     alone = binned(own[0]).mean(scene()) * gain
     assert np.abs(np.angle(alone / scene())).max() > 1e-3
@@ -115,7 +115,7 @@ def test_a_harmonic_that_the_type_lacks_counts_in_a_camera_of_it():
 
 def test_cameras_of_a_type_differ_within_their_bounds():
     settings = replace(SMALL, **SQUARE, scattering=0.05, wiggling_left=0.5)
-    own = [specimen(settings, np.random.default_rng(seed)) for seed in range(400)]
+    own = [random_camera(settings, np.random.default_rng(seed)) for seed in range(400)]
     for values, lowest, highest in (
         ([each.contrast[0][1] for each in own], 0.95 * 0.6, 1.05 * 0.6),
         ([each.contrast[1][1] for each in own], 0.95 * 0.3, 1.05 * 0.3),
@@ -132,7 +132,7 @@ def test_cameras_of_a_type_differ_within_their_bounds():
     assert len({each.pattern_seed for each in own}) == 400
     edge = replace(settings, contrast=((20e6, 1.0),), emitter_duty=0.995, rise_time_s=1e-6)
     for seed in range(20):
-        specimen(edge, np.random.default_rng(seed))  # within the bounds of SensorSettings
+        random_camera(edge, np.random.default_rng(seed))  # within the bounds of SensorSettings
 
 
 def test_torch_gives_the_numbers_of_numpy():

@@ -57,7 +57,7 @@ def channels_of(dataset, pixel, depth_m, width=WIDTH, height=HEIGHT, size_m=0.2)
     towards = pixel_rays(WIDTH, HEIGHT, room.horizontal_fov_deg)[pixel[1], pixel[0]]
     sphere = Solid("sphere", (size_m,) * 3, room.points_m(np.array([depth_m]), towards[None])[0], np.eye(3))
     light = Bounces(room, wall.rays.reshape(-1, 3), width / height, HZ, fine=True)
-    phasor = direct * (1 + light.ratio([sphere], 0.4).reshape(direct.shape))
+    phasor = direct * (1 + light.over_direct([sphere], 0.4).reshape(direct.shape))
     found = INPUTS.apply(phasor, INPUTS.reference_of_image(phasor, wall), is_weighted=True)
     return torch.as_tensor(found, dtype=torch.float32)[None]
 

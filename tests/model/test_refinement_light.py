@@ -64,7 +64,7 @@ def test_the_model_is_the_renderers_hidden_light(seven, lit, index):
     solids, roughness = solids_of(seven, scene_id), seven.scene(scene_id).relay_wall.roughness
     errors = []
     for fine in (True, False):
-        found = Bounces(room_of(seven), rays, WIDTH / HEIGHT, HZ, fine=fine).ratio(solids, roughness)
+        found = Bounces(room_of(seven), rays, WIDTH / HEIGHT, HZ, fine=fine).over_direct(solids, roughness)
         errors.append(norm(found - expected) / norm(expected))
     # 8192 lights leave 0.3 %. The points of a union miss the edge where both solids meet.
     assert errors[0] < (0.07 if len(solids) > 1 else 0.01)
@@ -82,7 +82,7 @@ def test_the_model_knows_diffuse_walls(make_dataset, variant):
     hidden, direct = measured(dataset, "000000", variant)
     expected = (hidden / direct).reshape(-1, 3)
     rays = pixel_rays(WIDTH, HEIGHT, 60.0).reshape(-1, 3)
-    found = Bounces(room_of(dataset), rays, WIDTH / HEIGHT, HZ, fine=True).ratio(
+    found = Bounces(room_of(dataset), rays, WIDTH / HEIGHT, HZ, fine=True).over_direct(
         solids_of(dataset, "000000"), None
     )
     assert norm(found - expected) / norm(expected) < 0.008
@@ -98,7 +98,7 @@ def test_the_middle_wall_matters_and_is_in_the_model(make_dataset, variant):
     errors = []
     for known in (room, replace(room, occluders=())):
         model = Bounces(known, rays, WIDTH / HEIGHT, HZ, fine=True)
-        found = model.ratio(solids_of(dataset, "000000"), dataset.scene("000000").relay_wall.roughness)
+        found = model.over_direct(solids_of(dataset, "000000"), dataset.scene("000000").relay_wall.roughness)
         errors.append(norm(found - expected) / norm(expected))
     assert errors[0] < 0.01  # half shadows are sums over points, too
     assert errors[1] > 0.03

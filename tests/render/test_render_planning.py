@@ -13,8 +13,8 @@ import pytest
 
 from render.farm.claims import OtherRunError, attempts_of, claimed, joined_run, refuse_other_run, running
 from render.farm.inventory import Inventory
-from render.farm.note import note_rendering
 from render.farm.plan import make_plan, size
+from render.farm.rendering_record import record_rendering
 from render.farm.status import duration, read_status
 from render.options import ManyLightOptions, PathOptions
 from render.settings import RenderError, RenderSettings, settings_for, settings_of
@@ -156,7 +156,7 @@ def test_a_forged_error_of_a_render_is_no_error(rendered, forged):
     write_record(rendered.render_folder(scene_id), replace(record, attributes=attributes))
     deep = read_record(rendered.render_folder(rendered.ids()[1]))
     write_record(rendered.render_folder(rendered.ids()[1]), replace(deep, recipe="[" * 100_000))
-    note_rendering(rendered, SETTINGS, True, finished=True)
+    record_rendering(rendered, SETTINGS, True, finished=True)
     assert 0 < rendered.rendering.hidden_error_max < 0.06  # of the third scene
     assert read_recipe("[" * 100_000) == {}
 

@@ -7,8 +7,8 @@ from full_disk import can_mount, file_size_limit, on_small_disk
 from night_commands import words
 
 from render.products.conversion import ExportError, convert_to_itof, open_transient
+from render.products.deferred_error_file import DeferredErrorFile
 from render.products.movie import MovieOptions, write_movie
-from render.products.patient_file import PatientFile
 from render.products.tal_export import export_tal
 
 
@@ -40,7 +40,7 @@ def test_a_file_that_found_no_room_is_named_and_leaves_nothing(transient_dataset
 
 
 def test_hdf5_reads_back_what_found_no_room(tmp_path):
-    with PatientFile(tmp_path / "a") as file:
+    with DeferredErrorFile(tmp_path / "a") as file:
         assert file.write(b"0123456789") == 10
         file.raise_error()
         with file_size_limit(12):

@@ -71,7 +71,7 @@ class Bounces:
         room = self.room.with_plane(plane_per_m)
         return Bounces(room, self._rays, self._aspect, self._frequencies_hz, fine=self._fine)
 
-    def ratio(self, solids: Sequence[Solid], roughness: float | None) -> NDArray[np.complex128]:
+    def over_direct(self, solids: Sequence[Solid], roughness: float | None) -> NDArray[np.complex128]:
         """(P, F) hidden light of the union of solids, relative to the direct light of each pixel.
 
         Parameters

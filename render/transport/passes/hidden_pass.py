@@ -38,7 +38,7 @@ class HiddenField:
     Attributes
     ----------
     lattice : None if every point is computed exactly.
-    ratio : (N, F) hidden signal over carrier at the nodes, mean over the runs of lights.
+    over_carrier : (N, F) hidden signal over carrier at the nodes, mean over the runs of lights.
     valid : (N,) nodes that see `surface`.
     surface : number of the surface behind most of the nodes.
     error : bound of the error relative to the hidden signal, the largest of all frequencies.
@@ -48,7 +48,7 @@ class HiddenField:
     lights: Lights
     frequencies_hz: tuple[float, ...]
     lattice: Lattice | None
-    ratio: NDArray[np.complex128]
+    over_carrier: NDArray[np.complex128]
     valid: NDArray[np.bool_]
     surface: int
     error: float
@@ -90,7 +90,7 @@ class HiddenField:
         x, y = (
             ((np.arange(size)[:, None] + rule.nodes) / size).ravel() for size in (grid.width, grid.height)
         )
-        ratio = self.lattice.interpolated_grid(self.ratio, x, y)  # (H n, W n, F)
+        ratio = self.lattice.interpolated_grid(self.over_carrier, x, y)  # (H n, W n, F)
         n = len(rule.nodes)
         ratio = ratio.reshape(grid.height, n, grid.width, n, -1).transpose(0, 2, 1, 3, 4)
         ratio = ratio.reshape(len(surface), rule.count, z.shape[-1])[smooth]
@@ -220,7 +220,7 @@ def make_field(
     carrier = gather_carrier(scene, checks, frequencies_hz, lights.centre)
     values = runs.values
     while True:
-        ratio, valid, surface = _ratio(scene, lattice, values, frequencies_hz, lights)  # (R, N, F)
+        ratio, valid, surface = _over_carrier(scene, lattice, values, frequencies_hz, lights)  # (R, N, F)
         inside = lattice.covers(checks, valid) & (seen == surface)
         between = np.stack([lattice.interpolated(one, checks[inside]) for one in ratio]) * carrier[inside]
         missed = common_part(between - exact[:, inside], np.linalg.norm(exact.mean(axis=0), axis=0))
@@ -251,7 +251,7 @@ def interpolable(
     return covered & wanted
 
 
-def _ratio(
+def _over_carrier(
     scene: mi.Scene,
     lattice: Lattice,
     values: NDArray[np.complex128],

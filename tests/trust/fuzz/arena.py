@@ -1,4 +1,4 @@
-"""The surroundings of a command that reads a damaged file: its folder, and what lies beside it."""
+"""The folders around a command that reads a damaged file: its own, and what lies beside it."""
 
 import os
 import shutil

@@ -24,7 +24,7 @@ import torch.utils.tensorboard
 import trimesh
 
 import cli
-import commandline.surroundings
+import commandline.streams_and_caches
 import model.judging.evaluation
 import model.prediction.prediction_files
 import model.training.loop

@@ -110,12 +110,12 @@ class Stage:
         return self._after(ended(child, self.arena.work))
 
     def run_in(self, before=None, relieve=lambda: None):
-        """Run the job in bad surroundings; (what is wrong then, or None; its exit code).
+        """Run the job in a bad environment; (what is wrong then, or None; its exit code).
 
         Parameters
         ----------
         before : as of `forked.Forks.start`.
-        relieve : called after the command; makes surroundings good again that others share.
+        relieve : called after the command; makes good again what others share.
         """
         end = self._run(self.job.command, before=before)
         relieve()

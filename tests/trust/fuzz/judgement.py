@@ -74,7 +74,7 @@ def _unclear(ended):
     if not text.replace("\n", "").replace("\t", "").replace("\r", "").isprintable():
         return "control characters"
     if re.search(r"^\S*Warning: |: \w*Warning: |^HDF5-DIAG|^Exception ignored|^\*\*\* ", ended.err, re.M):
-        return "a warning or the chatter of a library"
+        return "a warning or the output of a library"
     sentences = re.split("^Error: ", ended.err, flags=re.M)[1:]
     if ended.code == 2 and len(sentences) != 1:
         return f"{len(sentences)} sentences"

@@ -1,4 +1,4 @@
-"""The commands as processes of their own, with their workers: in bad surroundings, and killed."""
+"""The commands as processes of their own, with their workers: in a bad environment, and killed."""
 
 import os
 import resource

@@ -5,8 +5,15 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from environment_faults import (
+    ClosedStreams,
+    LargestFile,
+    few_open_files,
+    home_is_gone,
+    no_home,
+    permissions_count,
+)
 from jobs import DROP, EXPORT, FIVE, GEN, JUDGE, PREDICT, TO_ITOF, TO_TAL, TRAIN, Stage
-from surroundings import ClosedStreams, LargestFile, few_open_files, home_is_gone, no_home, permissions_count
 
 pytestmark = pytest.mark.thorough
 PLACES = {GEN: 6, TRAIN: 9, JUDGE: 3, PREDICT: 8, TO_ITOF: 7, TO_TAL: 7, EXPORT: 5}  # 45 in all

@@ -1,4 +1,4 @@
-"""A file for the HDF5 library, whose writes never fail.
+"""A file for the HDF5 library that defers errors of writing.
 
 HDF5 can crash the process when it cannot write, as on a full disk. Here the first error is kept, and what
 found no room on the disk is held in memory, so that HDF5 reads back what it wrote and closes the file as
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import h5py
 
 
-class PatientFile(io.RawIOBase):
+class DeferredErrorFile(io.RawIOBase):
     """A new file for writing and reading.
 
     Attributes
@@ -108,10 +108,10 @@ class PatientFile(io.RawIOBase):
 
 
 @contextmanager
-def hdf5_file(path: Path) -> Iterator[tuple[h5py.File, PatientFile]]:
+def hdf5_file(path: Path) -> Iterator[tuple[h5py.File, DeferredErrorFile]]:
     """A new HDF5 file and the stream that it is written to; `OSError` at the end if a write failed."""
     import h5py
 
-    with PatientFile(path) as stream, h5py.File(stream, "w") as file:
+    with DeferredErrorFile(path) as stream, h5py.File(stream, "w") as file:
         yield file, stream
     stream.raise_error()

@@ -1,4 +1,4 @@
-"""Bad surroundings of a command: a full disk, a folder without write permission, few files, closed streams.
+"""Faults of a command's environment: a full disk, a folder without write permission, closed streams.
 
 Each is a function, or a class with its parameters, that a child calls before its command
 (``before`` of `forked.Forks.start`).

@@ -11,7 +11,7 @@ from itof.sensor.settings import SensorSettings
 _CONTRAST, _RISE_TIME, _DUTY = 0.05, 0.2, 0.01  # ours: no data sheet that we know says how cameras differ
 
 
-def specimen(settings: SensorSettings, rng: np.random.Generator) -> SensorSettings:
+def random_camera(settings: SensorSettings, rng: np.random.Generator) -> SensorSettings:
     """A camera of this type.
 
     Its contrast at each frequency is within 5 % of that of the settings, its rise time within 20 %, its duty

@@ -1,4 +1,4 @@
-"""What a program needs around it, before it imports anything that computes: open streams, and caches."""
+"""Open standard streams, and a place for caches, before a program imports anything that computes."""
 
 from __future__ import annotations
 

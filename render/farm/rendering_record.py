@@ -8,14 +8,14 @@ from collections.abc import Collection
 from dataclasses import asdict, replace
 from importlib.metadata import version
 
-from render.farm.claims import noting
+from render.farm.claims import rendering_record_locked
 from render.settings import RenderSettings, settings_of
 from scenegen import Dataset, RenderingRecord, read_recipe, read_record, write_rendering_record
 
 _PACKAGES = ("night-nlos", "mitsuba", "drjit", "mitransient", "numpy", "OpenEXR")
 
 
-def note_rendering(dataset: Dataset, settings: RenderSettings, whole: bool, *, finished: bool) -> None:
+def record_rendering(dataset: Dataset, settings: RenderSettings, whole: bool, *, finished: bool) -> None:
     """Write ``rendering.json`` at the start and at the end of a run.
 
     The recorded settings do not change as long as any scene is rendered with them. The recorded product does
@@ -26,11 +26,11 @@ def note_rendering(dataset: Dataset, settings: RenderSettings, whole: bool, *, f
     whole : whether the run covers all scenes of the dataset.
     finished : whether the run has ended; then the errors of the renders are recorded as well.
     """
-    with noting(dataset.renders):
-        _note(dataset, settings, whole, finished)
+    with rendering_record_locked(dataset.renders):
+        _record(dataset, settings, whole, finished)
 
 
-def _note(dataset: Dataset, settings: RenderSettings, whole: bool, finished: bool) -> None:
+def _record(dataset: Dataset, settings: RenderSettings, whole: bool, finished: bool) -> None:
     before = dataset.rendering
     if before is not None:
         earlier = settings_of(before, dataset)
@@ -42,7 +42,7 @@ def _note(dataset: Dataset, settings: RenderSettings, whole: bool, finished: boo
     errors = _rendered_errors(dataset, settings) if finished else []
     known = [error for error in errors if error is not None]
     layout = settings.layout(dataset)
-    note = RenderingRecord(
+    record = RenderingRecord(
         method=settings.method,
         product=settings.product,
         max_bounces=settings.bounces(dataset),
@@ -54,8 +54,8 @@ def _note(dataset: Dataset, settings: RenderSettings, whole: bool, finished: boo
         hidden_error_median=statistics.median(known) if known else None,
         hidden_error_max=max(known, default=None),
     )
-    if note != before:
-        write_rendering_record(dataset.renders, note)
+    if record != before:
+        write_rendering_record(dataset.renders, record)
 
 
 def _rendered_errors(dataset: Dataset, settings: RenderSettings) -> list[float | None]:
