@@ -20,6 +20,19 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(trylast=True)  # of the tests that -m has left
+def pytest_collection_modifyitems(items):
+    """Files with the shared renders come first and those with the shared pipeline last.
+
+    Of two processes, each of which runs a stretch of the tests, one makes the renders and the other makes the
+    pipeline. The one that is done first takes tests from the end of the other's stretch.
+    """
+    needs = {}
+    for item in items:
+        needs.setdefault(item.path, set()).update(item.fixturenames)
+    items.sort(key=lambda item: ("pipeline" in needs[item.path], "render_cluster" not in needs[item.path]))
+
+
 @pytest.fixture(scope="session")
 def maker():
     from scenegen.making.blender import BlenderMaker
