@@ -10,7 +10,7 @@ import psutil
 import pytest
 from night_commands import night_here, refusal, words
 from PIL import Image
-from render_runs import wait_for, workers_of
+from render_runs import render_scenes, wait_for, workers_of
 from threadpoolctl import threadpool_limits
 from training_runs import edit_weights
 
@@ -35,10 +35,7 @@ def dataset(make_dataset):
             "hidden_object": {"shapes": ["cube", "sphere"], "composite_fraction": 0.0},
         }
     )
-    done = night_here(
-        *("night-render", made.root, "--product", "itof", "--resolution", "40x30", "--error", 0.005)
-    )
-    assert done.returncode == 0, done.stderr
+    render_scenes(made.root, product="itof", resolution=(40, 30), error=0.005)
     return made.root
 
 
