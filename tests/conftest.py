@@ -155,6 +155,16 @@ def finished_run(closed_form_scenes, tmp_path_factory):
     return train_on_one_thread(closed_form_scenes, tmp_path_factory.mktemp("runs") / "finished")
 
 
+@pytest.fixture(scope="session")
+def judged_run(finished_run, closed_form_scenes, tmp_path_factory):
+    """A report of that run on its training scenes, and its folder; for reading only."""
+    from model.judging.evaluation import evaluate
+
+    folder = tmp_path_factory.mktemp("reports") / "report"
+    options = {"split": "train", "device": "cpu", "progress": False}
+    return evaluate(finished_run, closed_form_scenes, folder, **options), folder
+
+
 @pytest.fixture
 def finished_copy(finished_run, tmp_path):
     """Copy of that run, to be changed."""
