@@ -20,6 +20,19 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(trylast=True)  # of the tests that -m has left
+def pytest_collection_modifyitems(items):
+    """Files with the shared renders come first and those with the shared pipeline last.
+
+    Of two processes, each of which runs a stretch of the tests, one makes the renders and the other makes the
+    pipeline. The one that is done first takes tests from the end of the other's stretch.
+    """
+    needs = {}
+    for item in items:
+        needs.setdefault(item.path, set()).update(item.fixturenames)
+    items.sort(key=lambda item: ("pipeline" in needs[item.path], "render_cluster" not in needs[item.path]))
+
+
 @pytest.fixture(scope="session")
 def maker():
     from scenegen.making.blender import BlenderMaker
@@ -140,6 +153,16 @@ def finished_run(closed_form_scenes, tmp_path_factory):
     from training_runs import train_on_one_thread
 
     return train_on_one_thread(closed_form_scenes, tmp_path_factory.mktemp("runs") / "finished")
+
+
+@pytest.fixture(scope="session")
+def judged_run(finished_run, closed_form_scenes, tmp_path_factory):
+    """A report of that run on its training scenes, and its folder; for reading only."""
+    from model.judging.evaluation import evaluate
+
+    folder = tmp_path_factory.mktemp("reports") / "report"
+    options = {"split": "train", "device": "cpu", "progress": False}
+    return evaluate(finished_run, closed_form_scenes, folder, **options), folder
 
 
 @pytest.fixture

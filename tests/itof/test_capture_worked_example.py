@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 from night_commands import night_here
+from render_runs import render_scenes
 
 from itof import DepthMap
 from itof.pictures.pointclouds import object_points
 from model.data.corner import wall_view
 from model.refinement.light.room import in_camera_axes
 from model.run_folder.history import read_history
-from render.rendering import Renderer
-from render.settings import settings_for
 from scenegen import open_dataset
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -69,9 +68,7 @@ def measured(make_dataset, folder, count, camera, error):
             **ELSEWHERE,
         }
     )
-    renderer = Renderer(made, settings_for(made, {"product": "itof", "resolution": (40, 30), "error": error}))
-    for scene in made.ids():
-        renderer.render(scene)
+    render_scenes(made.root, product="itof", resolution=(40, 30), error=error)
     (folder / "camera.toml").write_text(camera)
     raw = folder / "raw"
     arguments = ("--sensor", folder / "camera.toml", "--scenes", count, "--frames", 1, "--corner-frames", 2)

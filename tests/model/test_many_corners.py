@@ -1,12 +1,14 @@
 """Datasets whose scenes have their cameras elsewhere, and networks that are told where the wall is."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from night_commands import night_here, refusal
+from render_runs import render_scenes
 from spread_cameras import SHOWN, inverse_distance_per_m, preset, preset_text
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, config_of, settings, train_on_one_thread
@@ -228,13 +230,11 @@ def test_a_network_that_needs_one_wall_is_refused(corners, finished_run, tmp_pat
 def test_renders_of_many_corners_are_those_of_their_cameras_in_any_order(tmp_path):
     file = tmp_path / "p.toml"
     file.write_text(PRESET)
-    for name in ("a", "b"):
-        assert night_here("night-gen", "scenes", tmp_path / name, "--preset", file).returncode == 0
-    render = ("--product", "itof", "--lights", 400)
-    assert night_here("night-render", tmp_path / "a", *render).returncode == 0
+    assert night_here("night-gen", "scenes", tmp_path / "a", "--preset", file).returncode == 0
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    render_scenes(tmp_path / "a", product="itof", lights=400)
     for scene_id in ("000003", "000001"):
-        done = night_here("night-render", tmp_path / "b", *render, "--only", scene_id)
-        assert done.returncode == 0, done.stderr
+        render_scenes(tmp_path / "b", only=[scene_id], product="itof", lights=400)
         for image in ("itof.exr", "mirrored.exr"):
             one, other = (tmp_path / name / "renders" / scene_id / image for name in ("a", "b"))
             assert one.read_bytes() == other.read_bytes()

@@ -8,6 +8,7 @@ import pytest
 import torch
 from captures import steps, taps_of, write_sidecar
 from night_commands import night_here, refusal
+from render_runs import render_scenes
 from spread_cameras import SHOWN, inverse_distance_per_m, preset, preset_text
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, settings, train_on_one_thread
@@ -248,11 +249,9 @@ def test_renders_have_the_field_of_view_and_the_reflectance_of_their_scene(tmp_p
     file.write_text(PRESET)
     plain = tmp_path / "white.toml"
     plain.write_text(PRESET.replace("least_reflectance = 0.2", "least_reflectance = 1"))
-    render = ("--product", "itof", "--lights", 400)
     for name, which in (("a", file), ("white", plain)):
         assert night_here("night-gen", "scenes", tmp_path / name, "--preset", which).returncode == 0
-        done = night_here("night-render", tmp_path / name, *render)
-        assert done.returncode == 0, done.stderr
+        render_scenes(tmp_path / name, product="itof", lights=400)
     dataset, white = open_dataset(tmp_path / "a"), open_dataset(tmp_path / "white")
     frequencies_hz = dataset.preset.itof.frequencies_hz
     for scene_id in dataset.ids():

@@ -122,13 +122,11 @@ def test_the_report_of_a_network_with_uncertainty_has_the_errors(closed_form_sce
     assert [chart.name for chart in depth_error_charts(report)] == ["depth_error"]
 
 
-def test_a_network_without_probabilities_has_no_uncertainty(finished_run, closed_form_scenes, tmp_path):
-    report = evaluate(
-        finished_run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
-    )
-    content = json.loads((tmp_path / "report" / "metrics.json").read_text())
+def test_a_network_without_probabilities_has_no_uncertainty(judged_run):
+    report, out = judged_run
+    content = json.loads((out / "metrics.json").read_text())
     assert content["reliability"] is None
     assert content["expected_mae_m"] is None
     assert content["depth_reliability"] is None
     assert uncertainty_charts(report) == depth_error_charts(report) == ()
-    assert "predicts no probabilities" in (tmp_path / "report" / "index.html").read_text()
+    assert "predicts no probabilities" in (out / "index.html").read_text()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scene_views import shown
 
-from model.judging.evaluation import evaluate
 from model.judging.report.charts import distributions
 from model.judging.table_one import PAPER_ACCURACY_COUNTS, accuracy_histogram
 
@@ -53,9 +52,8 @@ def test_the_error_by_distance_is_the_mae_over_the_mean_depth_of_the_true_object
     assert empty.by_distance(empty.prediction) is None
 
 
-def test_report_table_and_chart_have_the_numbers_of_the_scenes(finished_run, closed_form_scenes, tmp_path):
-    out = tmp_path / "report"
-    report = evaluate(finished_run, closed_form_scenes, out, split="train", device="cpu", progress=False)
+def test_report_table_and_chart_have_the_numbers_of_the_scenes(judged_run):
+    report, out = judged_run
     written = json.loads((out / "metrics.json").read_text())
     with (out / "metrics.csv").open(newline="") as stream:
         lines = list(csv.DictReader(stream))

@@ -10,7 +10,7 @@ import psutil
 import pytest
 from night_commands import night_here, refusal, words
 from PIL import Image
-from render_runs import wait_for, workers_of
+from render_runs import render_scenes, wait_for, workers_of
 from threadpoolctl import threadpool_limits
 from training_runs import edit_weights
 
@@ -35,10 +35,7 @@ def dataset(make_dataset):
             "hidden_object": {"shapes": ["cube", "sphere"], "composite_fraction": 0.0},
         }
     )
-    done = night_here(
-        *("night-render", made.root, "--product", "itof", "--resolution", "40x30", "--error", 0.005)
-    )
-    assert done.returncode == 0, done.stderr
+    render_scenes(made.root, product="itof", resolution=(40, 30), error=0.005)
     return made.root
 
 
@@ -95,6 +92,7 @@ def test_what_is_finished_is_kept_and_what_is_damaged_is_made_again(copied, refi
         assert (copied / name).read_bytes() == (refined[0] / name).read_bytes()
 
 
+@pytest.mark.long
 def test_a_fit_that_is_not_accepted_leaves_the_networks_depth_map(dataset, tmp_path):
     done = night_here(
         *("night-eval", "refine", "night-40x30", dataset, "--out", tmp_path / "out", "--device", "cpu"),
@@ -143,6 +141,7 @@ def test_only_the_objects_of_another_preset_are_tried(dataset, tmp_path):
     assert not any(scene["accepted"] for scene in scenes)  # a cube, and a larger sphere
 
 
+@pytest.mark.long
 def test_a_command_that_was_killed_at_its_start_can_be_repeated(copied, refined, dataset):
     shutil.rmtree(copied / "scenes")
     refine_split("night-40x30", open_dataset(dataset), copied, device="cpu", progress=False)
@@ -181,10 +180,10 @@ def test_what_is_accepted_is_a_number_above_0(dataset, tmp_path, name, value):
     assert not (tmp_path / "out").exists()
 
 
-def test_datasets_that_cannot_be_refined_are_named(dataset, make_dataset, seven_renders, tmp_path):
+def test_datasets_that_cannot_be_refined_are_named(dataset, make_dataset, closed_form_scenes, tmp_path):
     command = ("night-eval", "refine", "night-40x30")
     out = ("--out", tmp_path / "out", "--device", "cpu")
-    assert "wrong resolution between stages" in refusal(*command, seven_renders, *out)
+    assert "wrong resolution between stages" in refusal(*command, closed_form_scenes.root, *out)
     assert "has no train split" in refusal(*command, dataset, *out, "--split", "train")
     many = make_dataset({"dataset": {"count": 1, "test_fraction": 1.0}, "camera_spread": {"location_m": 0.1}})
     assert "each scene of" in refusal(*command, many.root, *out)

@@ -128,7 +128,9 @@ def test_the_wall_is_found_behind_the_solids(seven, lit):
     assert after.relative(after.misfit(guess)) < before.relative(before.misfit(guess))
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, 4, 5, 6])
+@pytest.mark.parametrize(
+    "index", [0, 2, 6, *(pytest.param(each, marks=pytest.mark.long) for each in (1, 4, 5))]
+)
 def test_a_solid_is_found_from_two_centimetres_and_ten_degrees_away(seven, lit, index):
     scene_id = seven.ids()[index]
     hidden, direct = lit[scene_id]

@@ -25,7 +25,7 @@ def test_a_pool_that_breaks_takes_the_workers_with_it_that_it_has_started_and_no
     try:
         with pytest.raises(BrokenProcessPool):
             breaking(worker.start)
-        worker.join(60)
+        worker.join(600)
         assert worker.exitcode is not None
         assert earlier.is_alive()
     finally:

@@ -209,6 +209,7 @@ def test_pixels_that_see_no_wall_are_dark_and_not_nan(tmp_path):
     np.testing.assert_array_equal((found == 0).all(axis=-1), dark)
 
 
+@pytest.mark.long
 def test_networks_are_trained_and_judged_on_pairs(pairs, tmp_path):
     chosen = {"channels": "residual", "reference": "self", "flip_columns": False, "rotation_deg": 0.0}
     train(pairs, tmp_path / "run", settings(**chosen, translation=0.0, max_epochs=1))
@@ -217,6 +218,7 @@ def test_networks_are_trained_and_judged_on_pairs(pairs, tmp_path):
     assert report.scenes[0].object_class == "measured"
 
 
+@pytest.mark.long
 def test_pairs_are_refined_only_if_a_preset_says_what_may_be_there(pairs, tmp_path):
     chosen = {"channels": "residual", "reference": "self", "flip_columns": False, "rotation_deg": 0.0}
     train(pairs, tmp_path / "run", settings(**chosen, translation=0.0, max_epochs=1))

@@ -98,13 +98,13 @@ def test_a_render_with_the_same_bytes_is_remembered_until_it_is_found_good(rende
 
 
 def test_damage_on_the_disk_is_repaired_each_time(rendered_copy, wrong):
-    verify(rendered_copy)
+    verify(rendered_copy, "--only", SCENE)
     render_the_same_bytes(wrong, rendered_copy)
     file = wrong / "itof.exr"
     file.write_bytes(file.read_bytes()[:-10])
     other = rendered_copy / "renders" / "000001"
     shutil.copy(rendered_copy / "renders" / "000002" / "itof.exr", other / "itof.exr")
-    _, found, _ = verify(rendered_copy)
+    _, found, _ = verify(rendered_copy, "--only", SCENE, "--only", "000001")
     assert (set(found["problems"]), found["defects"]) == ({SCENE, "000001"}, [])
     assert read_record(wrong) is None
     assert read_bad_render(other) is None
@@ -113,9 +113,10 @@ def test_damage_on_the_disk_is_repaired_each_time(rendered_copy, wrong):
 def test_a_damaged_memory_counts_as_none(rendered_copy, wrong):
     (wrong / "bad.json").write_text('{"files": {"../x": 1}}')
     assert status(rendered_copy)["defects"] == {}
-    assert verify(rendered_copy)[1]["defects"] == []
+    only = ("--only", SCENE)
+    assert verify(rendered_copy, *only)[1]["defects"] == []
     render_the_same_bytes(wrong, rendered_copy)
-    assert verify(rendered_copy)[1]["defects"] == [SCENE]
+    assert verify(rendered_copy, *only)[1]["defects"] == [SCENE]
 
 
 @pytest.mark.thorough

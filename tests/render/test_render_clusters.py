@@ -208,42 +208,42 @@ def wait_until(holds):
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("jobqueue: [", "is not YAML"),
-        ("cores: 4", "one section jobqueue.<system>"),
-        ("jobqueue:\n  abacus:\n    cores: 4", "one section jobqueue.<system>"),
-        ("jobqueue:\n  slurm: 4", "must hold keys"),
-        (
-            "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    coers: 4",
-            "unknown key coers of jobqueue.slurm; known keys are",
-        ),
-        ("jobqueue:\n  slurm:\n    cores: 4", "jobqueue.slurm needs memory"),
-        *(
-            (f"jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    {line}", "does not describe a job")
-            for line in ("processes: 0", "processes: 1.5", "job-script-prologue: 3")
-        ),
-        (
-            "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    security: abc",
-            "security must be true, or left out",
-        ),
-        ("jobqueue:\n  slurm:\n    cores: 4\n    memory: [1]", "does not describe a job"),
-        (
-            "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    shared-temp-directory: 3",
-            "shared-temp-directory must be the name of a folder",
-        ),
-    ],
+NOT_UNDERSTOOD = (
+    ("jobqueue: [", "is not YAML"),
+    ("cores: 4", "one section jobqueue.<system>"),
+    ("jobqueue:\n  abacus:\n    cores: 4", "one section jobqueue.<system>"),
+    ("jobqueue:\n  slurm: 4", "must hold keys"),
+    (
+        "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    coers: 4",
+        "unknown key coers of jobqueue.slurm; known keys are",
+    ),
+    ("jobqueue:\n  slurm:\n    cores: 4", "jobqueue.slurm needs memory"),
+    *(
+        (f"jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    {line}", "does not describe a job")
+        for line in ("processes: 0", "processes: 1.5", "job-script-prologue: 3")
+    ),
+    (
+        "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    security: abc",
+        "security must be true, or left out",
+    ),
+    ("jobqueue:\n  slurm:\n    cores: 4\n    memory: [1]", "does not describe a job"),
+    (
+        "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    shared-temp-directory: 3",
+        "shared-temp-directory must be the name of a folder",
+    ),
 )
-def test_a_cluster_file_that_is_not_understood_is_refused_by_name(tmp_path, text, words):
+
+
+def test_a_cluster_file_that_is_not_understood_is_refused_by_name(tmp_path):
     file = tmp_path / "cluster.yaml"
-    file.write_text(text)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # Dask's, of a cluster that fails while it is made
-        sentence = refused(file, tmp_path)
+        for text, words in NOT_UNDERSTOOD:
+            file.write_text(text)
+            sentence = refused(file, tmp_path)
+            assert words in sentence, text
+            assert str(file) in sentence
         gc.collect()
-    assert words in sentence
-    assert str(file) in sentence
 
 
 def refused(file, folder):

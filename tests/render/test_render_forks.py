@@ -27,7 +27,7 @@ def test_a_process_forked_after_a_render_reads_and_writes_exr_files(make_dataset
     image, copy = dataset.render_folder("000000") / "itof.exr", tmp_path / "copy.exr"
     child = multiprocessing.get_context("fork").Process(target=copy_image, args=(image, copy))
     child.start()
-    child.join(60)
+    child.join(600)
     hangs = child.is_alive()
     child.kill()
     assert not hangs

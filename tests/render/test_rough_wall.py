@@ -76,8 +76,9 @@ def test_the_material_is_mitsubas(variant, hits, roughness, base):
     np.testing.assert_array_equal(*kinds)
 
 
-@pytest.mark.parametrize("max_bounces", [3, 4])
-@pytest.mark.parametrize("darkening", [{}, {"least_reflectance": 0.3}], ids=["even", "darker"])
+@pytest.mark.parametrize(
+    ("max_bounces", "darkening"), [(3, {}), (4, {"least_reflectance": 0.3})], ids=["even", "darker"]
+)
 def test_files_have_the_phasors_of_mitsubas_material(make_dataset, variant, max_bounces, darkening):
     preset = {
         "dataset": {"count": 1, "seed": 3},

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from many_light_scenes import SMALL, assert_agrees_with_paths, measure, path_phasors
 from night_commands import night_here, refusal
+from render_runs import render_scenes
 from spread_cameras import preset, preset_text
 
 from itof import pixel_rays
@@ -174,8 +175,7 @@ def test_an_image_where_the_wall_is_uniform_is_not_one_of_its_files(make_dataset
 
 
 def test_a_dataset_of_darkening_walls_is_rendered_and_verified(copied):
-    options = ("--product", "itof", "--resolution", "12x9", "--lights", 256)
-    assert night_here("night-render", copied.root, *options).returncode == 0
+    render_scenes(copied.root, product="itof", resolution=(12, 9), lights=256)
     done = night_here("night-render", "verify", copied.root)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -9,9 +9,26 @@ import psutil
 import pytest
 from night_commands import words
 
+from scenegen import open_dataset
 from storage import sha256_of
 
 SETTINGS = ["--error", "0.05", "--device", "cpu"]  # of the shared renders (tests/conftest.py)
+
+
+def render_scenes(root, *, only=None, **given):
+    """Render scenes of a dataset in this process, which needs no workers.
+
+    Parameters
+    ----------
+    given : as of `render.settings.settings_for`.
+    """
+    from render.rendering import Renderer
+    from render.settings import settings_for
+
+    dataset = open_dataset(root)
+    renderer = Renderer(dataset, settings_for(dataset, {"device": "cpu"} | given))
+    for scene_id in only or dataset.ids():
+        renderer.render(scene_id)
 
 
 def start_render(data, *arguments, **options):
