@@ -14,7 +14,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
@@ -31,7 +31,7 @@ from storage.path_like import PathLike
 from storage.quantities import ClassName
 from storage.whole_writing import write_text
 
-DATASET_SCHEMA = 4
+DATASET_SCHEMA: Final = 4
 MEASURED_GENERATOR = "night-eval capture pairs"  # of datasets whose measurements are those of a camera
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 

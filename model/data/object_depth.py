@@ -7,12 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from model.data.class_balance import BalanceError
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
+from storage import NightError
 from storage.quantities import FARTHEST_M
 
 LEAST_SPREAD_M: Final = 0.01  # for scenes whose objects are all equally far
+
+
+class BalanceError(NightError):
+    """Training scenes without object, or without background."""
 
 
 def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from model.data.object_depth import BalanceError
 from model.data.order import rows_by_piece
 from model.data.shards import Shards
-from storage import NightError
-
-
-class BalanceError(NightError):
-    """Training scenes without object, or without background."""
 
 
 def background_per_object(shards: Shards, rows: Sequence[int]) -> float:
