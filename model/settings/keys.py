@@ -37,7 +37,7 @@ def merged(before: Mapping[str, Any], changes: Mapping[str, Any], levels: int = 
 
 
 def tables(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain data of values by their keys, in any order: ``{"network": {"width": 32}}`` of ``network.width``."""
+    """Plain data of values by their keys, in any order: of ``network.width`` a table ``network``."""
     result: dict[str, Any] = {}
     for key, value in values.items():
         *groups, name = key.split(".")
