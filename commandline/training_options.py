@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from types import NoneType
@@ -13,7 +12,7 @@ from pydantic.fields import FieldInfo
 
 from commandline.options import Megahertz, Number, Sensor, option, options
 from itof.sensor.settings import SensorSettings
-from model.settings.keys import KIND, all_keys, merged, parsed, tables
+from model.settings.keys import KIND, all_keys, parsed, tables
 from model.settings.train_settings import TrainSettings
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
@@ -63,7 +62,7 @@ def given_settings(chosen: Mapping[str, Any], assignments: tuple[str, ...]) -> d
     values = {key: chosen[_parameter(key)] for key in _KEYS}
     given = {key: value for key, value in values.items() if value is not None}
     plain = {k: asdict(value) if isinstance(value, SensorSettings) else value for k, value in given.items()}
-    return functools.reduce(merged, map(parsed, assignments), tables(plain))
+    return tables(plain | dict(map(parsed, assignments)))
 
 
 def _parameter(key: str) -> str:

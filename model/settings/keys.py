@@ -14,29 +14,40 @@ from storage import PresetError
 
 KIND: Final = "kind"  # the key that says which other keys a table has
 _NEAREST: Final = 3
+_LONGEST: Final = 100  # characters of a key to which others are compared
+_DEEPEST: Final = 8
 
 
-def merged(before: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain data with changes, table by table; a table whose ``kind`` changes is replaced as a whole."""
+def merged(before: Mapping[str, Any], changes: Mapping[str, Any], levels: int = _DEEPEST) -> dict[str, Any]:
+    """Plain data with changes, table by table; a table whose ``kind`` changes is replaced as a whole.
+
+    Parameters
+    ----------
+    levels : of tables that are merged. Deeper ones, of which settings have none, are replaced.
+    """
     result = dict(before)
     for key, value in changes.items():
         old = before.get(key)
         if isinstance(old, dict) and isinstance(value, dict):
             stays = value.get(KIND, old.get(KIND)) == old.get(KIND)
-            result[key] = merged(old, value) if stays else value
+            result[key] = merged(old, value, levels - 1) if stays and levels else value
         else:
             result[key] = value
     return result
 
 
 def tables(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain data of values by their keys: ``{"network.width": 32}`` as ``{"network": {"width": 32}}``."""
+    """Plain data of values by their keys, in any order: of ``network.width`` a table ``network``."""
     result: dict[str, Any] = {}
     for key, value in values.items():
-        data: Any = value
-        for name in reversed(key.split(".")):
-            data = {name: data}
-        result = merged(result, data)
+        *groups, name = key.split(".")
+        table = result
+        for group in groups:
+            if not isinstance(table.get(group), dict):
+                table[group] = {}
+            table = table[group]
+        both = isinstance(value, dict) and isinstance(table.get(name), dict)
+        table[name] = table[name] | value if both else value
     return result
 
 
@@ -92,6 +103,8 @@ def _wrong_key(
 
 def _nearest(key: str, known: Mapping[str, FieldInfo]) -> str:
     """The keys that may be meant, as the end of a sentence."""
+    if len(key) > _LONGEST:
+        return ""
     last = {name: name.rsplit(".", 1)[-1] for name in known}
     near = difflib.get_close_matches(key, known, n=_NEAREST)
     alike = difflib.get_close_matches(key.rsplit(".", 1)[-1], set(last.values()), n=_NEAREST)
@@ -99,16 +112,15 @@ def _nearest(key: str, known: Mapping[str, FieldInfo]) -> str:
     return f": the nearest are {', '.join(near[:_NEAREST])}" if near else ""
 
 
-def parsed(assignment: str) -> dict[str, Any]:
-    """``group.key=value`` as plain data; the value is one of TOML, or a word without quotes.
+def parsed(assignment: str) -> tuple[str, Any]:
+    """Key and value of ``group.key=value``; the value is one of TOML, or a word without quotes.
 
     Raises
     ------
     PresetError : there is no key, or the value is not TOML.
     """
     key, equals, text = assignment.partition("=")
-    names = key.strip().split(".")
-    if not equals or not all(names):
+    if not equals or not all(key.strip().split(".")):
         raise PresetError(f"{assignment!r} is no setting: write it like network.width=32")
     try:
         value = tomllib.loads(f"value = {text}")
@@ -116,4 +128,4 @@ def parsed(assignment: str) -> dict[str, Any]:
         value = {"value": text.strip()}
     if len(value) != 1 or not text.strip():
         raise PresetError(f"{assignment!r} is no setting: write it like network.width=32")
-    return tables({key.strip(): value["value"]})
+    return key.strip(), value["value"]

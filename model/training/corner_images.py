@@ -7,7 +7,7 @@ from typing import Final
 
 from torch import Tensor
 
-from model.data.object_pixels import object_depth_m
+from model.data.object_depth import object_depth_m
 from model.data.shards import Shards
 from model.refinement.light.inverse import bounce_inverse
 from model.refinement.light.room import room_of

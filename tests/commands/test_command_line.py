@@ -151,6 +151,8 @@ def test_settings_come_from_defaults_preset_options_and_set_in_this_order():
     }
     found = settings_from_dict(merged(training_preset("paper")[0], given), "options")
     assert (found.network.width, found.network.levels, found.run.patience) == (9, 5, 3)
+    backwards = given_settings(chosen, ("target.loss=mse", "target.kind=depth"))
+    assert backwards == {"target": {"kind": "depth", "loss": "mse"}}
     assert found.target == DepthTarget(loss="mse")  # another kind, with its own defaults
     assert (found.augmentation.paper.translation, found.augmentation.paper.rotation_deg) == (0.1, 180)
 

@@ -12,7 +12,7 @@ from training_runs import assert_same_end, settings
 
 from itof import pixel_rays
 from model.data.corner import wall_view
-from model.data.object_pixels import object_depth_m
+from model.data.object_depth import object_depth_m
 from model.data.shards import open_shards
 from model.network.bounce_images import PLANES, BounceImages, _means
 from model.network.channels import InputSpec

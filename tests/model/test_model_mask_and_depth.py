@@ -13,7 +13,7 @@ from torch.nn import functional
 from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
 
 from itof import phasor_of_return, read_image, write_image
-from model.data.object_pixels import LEAST_SPREAD_M, BalanceError, object_depth_m
+from model.data.object_depth import LEAST_SPREAD_M, BalanceError, object_depth_m
 from model.data.rows import RowBlock
 from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
 from model.network.metrics import image_metrics, no_object_metrics, summarise

@@ -87,6 +87,14 @@ def test_another_kind_replaces_the_table_of_the_base(tmp_path):
     assert training_preset(tmp_path / "mine.toml")[0] == {"target": {"kind": "mask+depth"}}
 
 
+def test_tables_that_are_far_too_deep_are_refused_by_their_first_key(tmp_path):
+    deep = ".".join(["network", *["x"] * 5000]) + " = 1\n"
+    (tmp_path / "base.toml").write_text(deep)
+    (tmp_path / "mine.toml").write_text(f'extends = "base.toml"\n{deep}')
+    with pytest.raises(PresetError, match=r"unknown key network\.x"):
+        settings_from_dict(*training_preset(tmp_path / "mine.toml"))
+
+
 def test_presets_that_extend_each_other_in_a_circle_are_refused(tmp_path):
     for name, other in (("a", "b"), ("b", "a")):
         (tmp_path / f"{name}.toml").write_text(f'extends = "{other}.toml"\n')

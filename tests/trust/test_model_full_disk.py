@@ -56,7 +56,7 @@ def test_a_fine_tuning_that_cannot_write_its_first_weights_can_begin_again(
 
 
 def test_a_history_or_log_that_cannot_be_written_is_named(finished_copy):
-    record = EpochRecord(1, 0.1, 0.1, 0.1, 0.1, 0.1)
+    record = EpochRecord(1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.0)
     before, file = read_history(finished_copy), finished_copy / "history.csv"
     with file_size_limit(1000), pytest.raises(RunError, match=f"{file} cannot be written"), naming_disk(file):
         write_history(finished_copy, [record] * 100)

@@ -1,4 +1,4 @@
-"""What the ground truth of the training scenes shows: how many object pixels, and how far away."""
+"""How far away the objects of the training scenes are."""
 
 from __future__ import annotations
 
@@ -17,33 +17,6 @@ LEAST_SPREAD_M: Final = 0.01  # for scenes whose objects are all equally far
 
 class BalanceError(NightError):
     """Training scenes without object, or without background."""
-
-
-def background_per_object(shards: Shards, rows: Sequence[int]) -> float:
-    """Background pixels per object pixel of some scenes; reads one piece of the shards at a time.
-
-    Parameters
-    ----------
-    rows : rows of the training scenes.
-
-    Raises
-    ------
-    BalanceError : the scenes have no object pixel or no background pixel.
-
-    Source: 30.2 in the training log of the paper's released code.
-    """
-    object_pixels = pixels = 0
-    for piece in rows_by_piece(rows, shards.manifest.scenes_per_piece):
-        mask = shards.read(piece).mask  # (n, H, W) uint8, 0 or 1
-        object_pixels += int(mask.sum(dtype="int64"))
-        pixels += mask.size
-    if not 0 < object_pixels < pixels:
-        seen = "no background" if object_pixels else "no object"
-        raise BalanceError(
-            f"the ground truth of the {len(rows)} training scenes shows {seen}: train with "
-            "target.balance image, or render scenes that show both"
-        )
-    return (pixels - object_pixels) / object_pixels
 
 
 def object_depth_m(shards: Shards, rows: Sequence[int]) -> tuple[float, float]:
