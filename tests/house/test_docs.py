@@ -188,6 +188,15 @@ def test_the_documentation_is_short_and_its_tables_are_readable():
     assert [cell for cell in cells if len(cell[1].strip()) > LONGEST_CELL] == []
 
 
+def test_the_classes_whose_settings_the_site_lists_exist():
+    places = re.findall(
+        r"^::: settings (.*)\.(\w+)$", (ROOT / "docs/reference/settings.md").read_text(), re.M
+    )
+    assert len(places) == 3
+    for module, settings in places:
+        assert hasattr(getattr(importlib.import_module(module), settings), "__pydantic_fields__")
+
+
 @pytest.mark.long
 def test_the_site_is_built_without_warnings_and_takes_nothing_from_elsewhere(tmp_path):
     command = [
