@@ -50,8 +50,7 @@ def measure(scene, spp, variant, *, max_bounces=3, seed=1, layout=LAYOUT):
 
 
 def path_settings(spp, **others):
-    options = PathOptions(spp=spp)
-    return RenderSettings(product="both", options=options, device="cpu", **others)
+    return RenderSettings(product="both", options=PathOptions(spp=spp), device="cpu", **others)
 
 
 @pytest.fixture(scope="module")
@@ -199,8 +198,7 @@ def test_a_transient_sums_to_the_steady_image_of_plain_mitsuba(rough_cube, varia
     )
     difference = transient.mean(axis=0) - steady.mean(axis=0)
     sigma = np.sqrt((transient.var(axis=0, ddof=1) + steady.var(axis=0, ddof=1)) / len(runs))
-    # Student's t with 7 to 14 degrees of freedom has a mean square below 7/5; over 768 pixels it
-    # scatters by about 2.5 sqrt(2/768) = 0.13.
+    # Student's t with 7 or more degrees of freedom: mean square below 7/5, +- 2.5 sqrt(2/768) = 0.13.
     assert np.mean((difference / sigma) ** 2) < 1.4 + 3 * 0.13
     assert abs(difference.sum()) < 4 * np.sqrt(np.sum(sigma**2))
     assert difference.sum() == pytest.approx(0, abs=1e-3 * steady[0].sum())
@@ -218,8 +216,7 @@ def test_the_bounce_limit_separates_direct_from_hidden_light(rough_cube, variant
 
 
 def test_light_that_misses_the_time_axis_is_reported(rough_cube, variant, caplog):
-    short = TransientLayout(WIDTH, HEIGHT, 300, 0.01, 0.0)
-    measure(load(rough_cube), 16, variant, layout=short)
+    measure(load(rough_cube), 16, variant, layout=TransientLayout(WIDTH, HEIGHT, 300, 0.01, 0.0))
     assert "outside the time axis" in caplog.text
 
 
@@ -242,9 +239,8 @@ def test_border_pixels_have_no_more_noise_of_the_direct_return_than_others(rough
         phasors(measure(scene, 1024, variant, max_bounces=1, seed=s, layout=wide), [20e6], 0.01)
         for s in (1, 2)
     )
-    hidden_share = 2e-3
-    # A fiftieth of the hidden light, where one path lost would be half of it.
-    assert np.abs(a / b - 1).max() < 0.02 * hidden_share
+    # A fiftieth of the hidden light, 2e-3, where one path lost would be half of it.
+    assert np.abs(a / b - 1).max() < 0.02 * 2e-3
 
 
 def test_hidden_noise_falls_with_the_square_root_of_the_paths(rough_cube, variant):
