@@ -137,5 +137,5 @@ SET = option(
     "assignments",
     multiple=True,
     metavar="GROUP.KEY=VALUE",
-    help="Change any setting (docs/training.md lists them), such as optimiser.clip_norm=0; may be repeated.",
+    help="Change any setting, such as optimiser.clip_norm=0; may be repeated.",
 )
