@@ -127,7 +127,7 @@ class _Bounces:
             root = self.dataset.root
             raise ShardError(
                 f"scene {self.first[0]} of {root} is rendered with at most {self.first[1]} bounces and scene "
-                f"{scene} with {count}: night-render {root} --replace --max-bounces N renders all alike"
+                f"{scene} with {count}: night-render {root} --again changed --max-bounces N renders all alike"
             )
 
 
