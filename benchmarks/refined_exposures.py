@@ -21,11 +21,11 @@ from refinement_limits import HEAD, Judged, judgement, single_solids, sizes_of, 
 from itof import read_image
 from itof.sensor.cameras import load_sensor
 from itof.sensor.random_camera import random_camera
+from itof.sensor.scene_camera import SceneCamera
 from itof.sensor.settings import SensorSettings
 from itof.wall.empty_corner import captured_wall
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
-from model.judging.exposures.measuring import SceneCamera
 from model.prediction.predictor import Predictor, load
 from model.refinement.light.room import room_of
 from model.refinement.refining import Family, refined

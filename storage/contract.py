@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails, from_json
 from storage.night_error import NightError
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+DOCUMENTED = ConfigDict(**STRICT, use_attribute_docstrings=True)  # the text below a field describes it
 
 _QUOTE = "'"
 _MOST_CHARACTERS = 100  # of a value in a message

@@ -11,6 +11,8 @@ import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import ArrayLike
 
+NUMBERS = ("MAE cm", "mIoU", "object MAE cm")  # by which depth maps are compared, as heads of a table
+
 
 @dataclass(frozen=True)
 class ImageMetrics:
@@ -144,3 +146,20 @@ def summarise(metrics: Sequence[ImageMetrics]) -> Summary:
         miou=Statistics.of(values["miou"]),
         accuracy=Statistics.of(values["accuracy"]),
     )
+
+
+def summary_cells(summary: Summary) -> tuple[str, str, str]:
+    """MAE, mIoU and object MAE with their standard errors; ``-`` where nothing tells the number."""
+    cells = []
+    for found, factor, digits in (
+        (summary.depth_mae_m, 100, 2),
+        (summary.miou, 1, 3),
+        (summary.object_mae_m, 100, 2),
+    ):
+        if found is None:
+            cells.append("-")
+        else:
+            error = found.standard_error
+            told = "-" if error is None else f"{factor * error:.{digits}f}"
+            cells.append(f"{factor * found.mean:.{digits}f} ± {told}")
+    return cells[0], cells[1], cells[2]

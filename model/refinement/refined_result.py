@@ -7,8 +7,7 @@ from typing import Any
 
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from model.judging.summary_cells import summary_cells
-from model.network.metrics import ImageMetrics, summarise
+from model.network.metrics import ImageMetrics, summarise, summary_cells
 from storage.contract import STRICT
 from storage.quantities import Vector
 

@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from itof.sensor.settings import SensorSettings
-from model.settings.documented import DOCUMENTED
+from storage.contract import DOCUMENTED
 from storage.quantities import Fraction, NotNegative
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from model.settings.documented import DOCUMENTED
+from storage.contract import DOCUMENTED
 from storage.quantities import Positive
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]

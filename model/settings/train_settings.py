@@ -10,7 +10,6 @@ from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from model.settings.augmentation import AugmentationSettings
-from model.settings.documented import DOCUMENTED
 from model.settings.input import InputSettings, PaperChannels
 from model.settings.keys import merged, wrong_key
 from model.settings.network import NetworkSettings
@@ -18,7 +17,7 @@ from model.settings.optimiser import OptimiserSettings
 from model.settings.run import RunSettings
 from model.settings.target import MaskAndDepthTarget, TargetSettings
 from storage import PresetError
-from storage.contract import checked_data
+from storage.contract import DOCUMENTED, checked_data
 
 MAY_CHANGE_ON_RESUME: Final = frozenset(
     {"run.max_epochs", "run.device", "run.progress", "run.checkpoint_minutes"}

@@ -15,9 +15,9 @@ from itof.sensor.binned import BinnedCamera
 from itof.sensor.cameras import load_sensor
 from itof.sensor.imperfections import PERFECT, cameras_by_imperfection, without
 from itof.sensor.noise import phase_noise_rad
+from itof.sensor.scene_camera import SceneCamera, hidden_snr
 from itof.sensor.settings import SensorSettings
 from model.data.shards import open_shards
-from model.judging.exposures.measuring import SceneCamera, hidden_snr
 from model.judging.exposures.sweep import _Work, judge_exposures
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load

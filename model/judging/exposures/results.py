@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from itof.sensor.settings import SensorSettings
-from model.judging.summary_cells import NUMBERS, summary_cells
-from model.network.metrics import Summary
+from model.network.metrics import NUMBERS, Summary, summary_cells
 from storage import whole_file, write_text
 from storage.own_files import MOST_RECORD_BYTES, hashes_of
 from storage.plain_file import read_plain

@@ -11,13 +11,13 @@ import numpy as np
 
 from itof import ImageFileError, read_image
 from itof.sensor.imperfections import cameras_by_imperfection
+from itof.sensor.scene_camera import MeasuredScene, SceneCamera
 from itof.sensor.settings import MOST_FRAMES, SensorSettings
 from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards, open_shards
 from model.judging.exposures.figure import write_exposure_figure
-from model.judging.exposures.measuring import MeasuredScene, SceneCamera
 from model.judging.exposures.results import FIGURE_FILE, ExposureReport, ExposureRow, files_of_exposures
 from model.judging.refusals import (
     EvaluationError,

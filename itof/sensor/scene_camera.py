@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from itof.arrays import Phasors
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.camera import Camera
 from itof.sensor.noise import phase_noise_rad
 from itof.sensor.settings import SensorSettings
-
-Phasors = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True)
