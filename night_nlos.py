@@ -14,7 +14,7 @@ from pathlib import Path
 __all__ = ["__version__", "night_eval", "night_gen", "night_render", "night_train"]
 
 __version__ = version("night-nlos")
-_MODULES = ("cli", "commandline", "storage", "processes", "scenegen", "itof", "render", "model")
+_MODULES = ("cli", "commandline", "disk", "processes", "scenegen", "itof", "render", "model")
 _WRONG_INSTALLATION = 2  # exit code, as for everything that the user can change
 
 

@@ -18,6 +18,7 @@ from statistics import mean, stdev
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import read_settings
 from model.data.feed import Feed
 from model.data.shards import Shards, open_shards
 from model.network.metrics import Summary, image_metrics, no_object_metrics, summarise
@@ -27,7 +28,6 @@ from model.settings.presets import training_preset
 from model.settings.train_settings import TrainSettings, settings_from_dict
 from model.training.loop import train
 from scenegen import open_dataset
-from storage import read_settings
 
 BATCH = 16
 Change = Callable[[NDArray[np.complex64]], NDArray[np.complexfloating]]

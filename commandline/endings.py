@@ -23,7 +23,7 @@ import click
 
 from commandline.sentences import sentence_of
 from commandline.streams import discard_unprinted, is_of_stdout, say
-from storage import NightError
+from disk import NightError
 
 _DEFECT = 70  # EX_SOFTWARE of sysexits.h
 _REPORT_IT = "This is a defect of NIGHT {}: please report it with the text above (see CONTRIBUTING.md)."

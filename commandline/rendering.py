@@ -146,8 +146,8 @@ def export_dataset(dataset: Path, out: Path, partial: bool, as_json: bool) -> No
 @YES
 def drop_transients(dataset: Path, only: tuple[str, ...], yes: bool) -> None:
     """Delete the transients of DATASET and keep phasors and ground truth; only rendering brings them back."""
+    from disk.byte_size import size
     from render.products.transient_deletion import delete_transients, transient_bytes
-    from storage.byte_size import size
 
     opened = open_dataset(dataset)
     ids = chosen_scenes(opened, only)

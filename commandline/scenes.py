@@ -12,9 +12,9 @@ import click
 from commandline.endings import NightGroup, noted_interrupt
 from commandline.options import FOLDER, chosen_scenes
 from commandline.streams import say
+from disk import read_settings
 from processes import showing_progress
 from scenegen import Preset, leaks, open_dataset, preset_from_dict
-from storage import read_settings
 
 PRESET = click.option(
     "--preset",

@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from storage.private_folder import private_folder
+from disk.private_folder import private_folder
 
 _STDIN, _STDOUT, _STDERR = range(3)
 # Environment variables that name folders for caches, and the folders that are used in place of the home.

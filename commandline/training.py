@@ -12,9 +12,9 @@ from commandline.endings import NightCommand
 from commandline.options import FOLDER, option
 from commandline.results import JSON, tell
 from commandline.training_options import SET, TRAINING, given_settings
+from disk import PresetError
 from model.settings.keys import merged
 from scenegen import open_dataset
-from storage import PresetError
 
 if TYPE_CHECKING:
     from model import TrainSettings

@@ -1,6 +1,6 @@
 """iToF measurements: phasors, phase, depth, network channels, and the EXR files of images and transients.
 
-Imports no other package of NIGHT but the basement (`storage`, `processes`). Sub-packages: `exr` (image
+Imports no other package of NIGHT but the basement (`disk`, `processes`). Sub-packages: `exr` (image
 files), `files` (measurement files), `capture` (raw frames of a camera), `sensor` (a model of one), `wall`
 (the relay wall in a measurement) and `pictures`. The names below are loaded at their first use.
 

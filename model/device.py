@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import torch
 from threadpoolctl import threadpool_limits
 
+from disk import NightError
 from model.settings.run import DeviceName, Precision
-from storage import NightError
 
 
 class DeviceError(NightError):

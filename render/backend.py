@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 from typing import Literal
 
+from disk import NightError
 from processes import silenced
-from storage import NightError
 
 Device = Literal["auto", "cpu", "cuda"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from disk import NightError
 from render.settings import RenderError
 from scenegen import Dataset
 from scenegen.scene_folder import differences, folder_digest, ineffective, read_scene_folder, scene_of
-from storage import NightError
 
 SCENE_FILES = "scene_files"  # attribute of renders of such scenes
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import PathLike
 from itof import pixel_rays
 from render.backend import Device, select_variant
 from render.products.conversion import ExportError, exported_file
@@ -22,7 +23,6 @@ from render.transport.scene_loading import scene_from_data
 from scenegen import Dataset, Scene, camera_axes, wall_normal
 from scenegen.mitsuba_description import Description, mirrored_description, seen_description
 from scenegen.scene_folder import read_scene_folder, scene_of
-from storage import PathLike
 
 if TYPE_CHECKING:
     import mitsuba as mi

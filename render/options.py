@@ -15,7 +15,7 @@ import math
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
-from storage import NightError
+from disk import NightError
 
 # With one bounce, the only random error is that of the average over a pixel: 256 stratified paths suffice.
 _ONE_BOUNCE_SPP = 256

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from disk import remove_leftovers, sha256_of, whole_file, whole_files
 from itof import (
     MeasurementMatrix,
     Splat,
@@ -51,7 +52,6 @@ from scenegen import (
 from scenegen.mitsuba_description import mirrored_description, seen_description
 from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
-from storage import remove_leftovers, sha256_of, whole_file, whole_files
 
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
 

@@ -6,6 +6,8 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from disk import NightError
+from disk.machine_memory import machine_bytes
 from itof import MOST_WRITTEN_BYTES, TransientLayout
 from render.backend import Device
 from render.options import (
@@ -19,8 +21,6 @@ from render.options import (
 )
 from scenegen import IMAGE_FILES, RENDERING_FILE, TRANSIENT_FILES, Dataset, RenderingRecord, read_recipe
 from scenegen.preset import MOST_BOUNCES
-from storage import NightError
-from storage.machine_memory import machine_bytes
 
 Product = Literal["transient", "itof", "both"]
 EDGES_KEY = "edge_divisions"  # of a recipe

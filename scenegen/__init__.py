@@ -1,6 +1,6 @@
 """Scenes, presets and dataset folders as plain data, and the code that makes them.
 
-Imports no other package of NIGHT but the basement (`storage`, `processes`). `scenegen.making` makes scenes in
+Imports no other package of NIGHT but the basement (`disk`, `processes`). `scenegen.making` makes scenes in
 Blender, in processes of its own. The names below are loaded at their first use.
 """
 

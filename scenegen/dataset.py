@@ -19,17 +19,17 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from disk.contract import STRICT, ContractError, checked
+from disk.inner_paths import inside
+from disk.night_error import NightError
+from disk.path_like import PathLike
+from disk.quantities import ClassName
+from disk.whole_writing import write_text
 from scenegen.preset import Preset
 from scenegen.render_folder import Sha256
 from scenegen.rendering_record import RenderingRecord, read_rendering_record
 from scenegen.scene import Scene, Split
 from scenegen.scene_folder import SCENE_FILE, digest_of, scene_of
-from storage.contract import STRICT, ContractError, checked
-from storage.inner_paths import inside
-from storage.night_error import NightError
-from storage.path_like import PathLike
-from storage.quantities import ClassName
-from storage.whole_writing import write_text
 
 DATASET_SCHEMA: Final = 4
 MEASURED_GENERATOR = "night-eval capture pairs"  # of datasets whose measurements are those of a camera

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from disk.quantities import Vector
 from scenegen.pose import blender_matrix
 from scenegen.scene import Camera, Emitter, RelayWall, Scene
 from scenegen.wall_image import WALL_IMAGE, pfm
-from storage.quantities import Vector
 
 Description = Mapping[str, Any]
 ROUGH_WALL = "roughplastic"  # Mitsuba's plugin for the material of a rough relay wall

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.quantities import Vector
 from scenegen.preset import CameraSettings
 from scenegen.scene import Wall
-from storage.quantities import Vector
 
 
 def rotation_matrix(rotation_deg: Vector) -> NDArray[np.float64]:

@@ -13,11 +13,10 @@ from pydantic import AfterValidator, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from scipy.constants import speed_of_light
 
-from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
-from storage.contract import STRICT, checked_data
-from storage.path_like import PathLike
-from storage.preset_files import PresetError, read_settings
-from storage.quantities import (
+from disk.contract import STRICT, checked_data
+from disk.path_like import PathLike
+from disk.preset_files import PresetError, read_settings
+from disk.quantities import (
     FARTHEST_M,
     MAX_FOV_DEG,
     MIN_FOV_DEG,
@@ -32,6 +31,7 @@ from storage.quantities import (
     Rotation,
     Roughness,
 )
+from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
 Material = Literal["rough", "diffuse"]
 MOST_BOUNCES = 64  # surfaces that light may meet on its way

@@ -9,10 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from disk.inner_paths import inside
+from disk.night_error import NightError
 from scenegen.dataset import Dataset
 from scenegen.render_folder import RECORD_FILE, difference, read_record
-from storage.inner_paths import inside
-from storage.night_error import NightError
 
 RENDER_AGAIN: Final = "delete it and render it again"  # what to do with a recorded file that cannot be read
 

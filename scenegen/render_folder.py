@@ -16,11 +16,11 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from storage.contract import STRICT, ContractError, checked
-from storage.file_hashes import sha256_of
-from storage.path_like import PathLike
-from storage.plain_file import read_plain
-from storage.whole_writing import write_text
+from disk.contract import STRICT, ContractError, checked
+from disk.file_hashes import sha256_of
+from disk.path_like import PathLike
+from disk.plain_file import read_plain
+from disk.whole_writing import write_text
 
 MEASUREMENT_FILE, GROUND_TRUTH_FILE = "itof.exr", "mirrored.exr"
 TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE = "transient.exr", "mirrored_transient.exr"

@@ -12,11 +12,11 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from storage.contract import STRICT, checked
-from storage.path_like import PathLike
-from storage.plain_file import read_plain
-from storage.quantities import WholeCount
-from storage.whole_writing import write_text
+from disk.contract import STRICT, checked
+from disk.path_like import PathLike
+from disk.plain_file import read_plain
+from disk.quantities import WholeCount
+from disk.whole_writing import write_text
 
 RENDERING_FILE = "rendering.json"
 _MOST_BYTES = 2**24

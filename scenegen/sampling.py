@@ -8,10 +8,10 @@ from math import floor
 
 import numpy as np
 
+from disk.night_error import NightError
+from disk.quantities import Vector
 from scenegen.preset import Preset
 from scenegen.scene import COMPOSITE, Camera, Darkening, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
-from storage.night_error import NightError
-from storage.quantities import Vector
 
 MAX_ATTEMPTS = 1000
 

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from disk.contract import STRICT, checked
+from disk.quantities import ClassName, Extent, FieldOfView, Positive, Reflectance, Roughness, Vector
 from scenegen.preset import MOST_BOUNCES, CameraSettings, Material
 from scenegen.shapes import Shape
-from storage.contract import STRICT, checked
-from storage.quantities import ClassName, Extent, FieldOfView, Positive, Reflectance, Roughness, Vector
 
 COMPOSITE = "composite"
 Split = Literal["train", "validation", "test"]

@@ -12,12 +12,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from disk.contract import ContractError
+from disk.night_error import NightError
 from scenegen.mitsuba_description import EMITTER_IMAGE, hidden_names, is_emitter_pfm, mirrored_names
 from scenegen.mitsuba_xml import MIRRORED_XML, SEEN_XML, scene_files_for_mitsuba
 from scenegen.scene import Scene, scene_from_json, scene_to_json
 from scenegen.wall_image import WALL_IMAGE, wall_pfm
-from storage.contract import ContractError
-from storage.night_error import NightError
 
 SCENE_FILE = "scene.json"
 WALLS = ("relay_wall", "middle_wall")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.night_error import NightError
+from disk.night_error import NightError
 
 MAX_TRIANGLES = 2_000_000  # a PLY file of 26 MB; Blender needs seconds for it
 _FARTHEST_M = 1e6  # of a vertex of a scene: positions are within 1000 m of the origin

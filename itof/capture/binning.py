@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from disk.quantities import MIN_FOV_DEG, fov_problem
 from itof.capture.sidecar import CaptureError
-from storage.quantities import MIN_FOV_DEG, fov_problem
 
 LONGEST_SIDE: Final = 2**14  # of a sensor, pixels; those of iToF cameras have up to 2**11
 _LEAST_PART = 1e-9  # of a sensor pixel

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from disk import whole_file
 from itof.capture.sidecar import CaptureError
-from storage import whole_file
 
 if TYPE_CHECKING:  # matplotlib takes half a second to load
     from matplotlib.figure import Figure

@@ -10,6 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import PathLike
+from disk.quantities import fov_problem
 from itof.arrays import Phasors
 from itof.capture.capture import ImageShape, read_capture
 from itof.capture.check_picture import refuse_other_picture, write_picture
@@ -25,8 +27,6 @@ from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding, length
 from itof.wall.plausibility import check_measurement
 from itof.wall.wall_fit import RobustFit
-from storage import PathLike
-from storage.quantities import fov_problem
 
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked
 _REFERENCE = "the reference: "

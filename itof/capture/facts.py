@@ -8,8 +8,8 @@ from typing import Annotated, Final
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from storage.contract import STRICT
-from storage.quantities import FieldOfView, Fraction
+from disk.contract import STRICT
+from disk.quantities import FieldOfView, Fraction
 
 LARGEST_RAD: Final = 7.0  # of a noise or a drift; phases differ by at most 2 pi
 _MOST_DECIMALS = 4  # of milliradians

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from disk import PathLike, inside, remove_leftovers, sha256_of, whole_file, whole_files
 from itof.capture.capture import Capture, ImageShape, read_capture
 from itof.capture.facts import milliradians
 from itof.capture.raw_frames import refuse_repeated
@@ -19,7 +20,6 @@ from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_files import measurement_of
 from itof.files.measurement_process import FileContents
 from itof.files.measurement_writing import ENDINGS, write_measurement
-from storage import PathLike, inside, remove_leftovers, sha256_of, whole_file, whole_files
 
 
 @dataclass(frozen=True)

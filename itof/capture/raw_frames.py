@@ -11,12 +11,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import OutsideError, inside, sha256_of
 from itof.arrays import Numbers
 from itof.capture.frame_axes import ordered, stacked
 from itof.capture.sidecar import TOO_COARSE, CaptureError, Sidecar
 from itof.files.array_claims import RefusedError
 from itof.files.measurement_process import FileContents, read_contents
-from storage import OutsideError, inside, sha256_of
 
 ENDINGS: Final = (".npz", ".h5", ".hdf5", ".exr", ".mat")
 SMALLEST: Final = 1e-30  # largest number of an array, whose square is not 0

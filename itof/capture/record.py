@@ -10,10 +10,10 @@ from typing import Final, Literal
 from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from disk import NightError, sha256_of
+from disk.contract import STRICT, checked
 from itof.capture.facts import CaptureFacts
 from itof.capture.sidecar import CaptureError, Sidecar
-from storage import NightError, sha256_of
-from storage.contract import STRICT, checked
 
 SCHEMA: Final = 1
 _MOST_BYTES = 2**24  # of a record; one with a thousand captured files has 2**17

@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from disk import NightError
+from disk.contract import STRICT
+from disk.quantities import FieldOfView
 from itof.capture.phase_steps import phasor_weights
-from storage import NightError
-from storage.contract import STRICT
-from storage.quantities import FieldOfView
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
 SLOWEST_HZ, FASTEST_HZ = 1e4, 1e10  # no camera modulates below or above

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 from pydantic import TypeAdapter
 
+from disk import PathLike, PresetError, read_settings, shipped_file
+from disk.contract import checked_data
 from itof.capture.sidecar import CaptureError, Sidecar
-from storage import PathLike, PresetError, read_settings, shipped_file
-from storage.contract import checked_data
 
 KIND: Final = "captures"  # folder of data/
 

@@ -19,7 +19,7 @@ from typing import BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import NightError
+from disk import NightError
 
 _MAGIC: Final = b"\x76\x2f\x31\x01"
 _LONG_NAMES: Final = 0x400  # the flags of the version that a single-part scan-line image may have

@@ -6,7 +6,7 @@ Layout (docs/reference/files.md): named FLOAT channels of H x W. Phasors are ``<
 All files have lossless compression (ZIPS: one scanline per block) and float32 values. Every attribute is
 text: OpenEXR would store a number as float32, and 0.01 would be read as 0.00999999978.
 
-Writers write to the final path. Use `storage.whole_file` where an incomplete file must not appear.
+Writers write to the final path. Use `disk.whole_file` where an incomplete file must not appear.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from disk.machine_memory import memory_shortage
 from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
 from itof.light import exact_megahertz
-from storage.machine_memory import memory_shortage
 
 _COPIES = 4  # of the channels, while phasors are made of them
 _MOST_NAMES = 20  # of channels in a sentence

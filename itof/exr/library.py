@@ -20,9 +20,9 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from disk.whole_writing import errno_of_writing
 from itof.exr.header import ImageFileError, UnsupportedImageError, read_structure
 from processes import silenced
-from storage.whole_writing import errno_of_writing
 
 ATTRIBUTE_PREFIX = "night."
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)

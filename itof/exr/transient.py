@@ -17,11 +17,11 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from disk.machine_memory import memory_shortage
 from itof.exr.header import ExrStructure, ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
 from itof.measurement import MeasurementMatrix
 from itof.splat import SPLATS, Splat
-from storage.machine_memory import memory_shortage
 
 TRANSIENT_CHANNEL = "transient.Y"
 _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every transient has

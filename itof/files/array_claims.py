@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from storage.byte_size import binary_size
-from storage.machine_memory import memory_shortage
+from disk.byte_size import binary_size
+from disk.machine_memory import memory_shortage
 
 ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
 _KINDS: Final = {

@@ -17,13 +17,13 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from disk.machine_memory import machine_bytes
 from itof.arrays import Numbers
 from itof.exr.header import ImageFileError
 from itof.exr.image import read_image
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.mat_reading import is_hdf5, read_mat
 from itof.files.npz_reading import read_npz
-from storage.machine_memory import machine_bytes
 
 Contents = tuple[dict[str, Numbers], list[str]]
 _CPU_SECONDS = (

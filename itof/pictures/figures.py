@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from disk import whole_file
 from itof import DepthMap
-from storage import whole_file
 
 PANELS = ("Re", "Im", "radial depth")
 ERROR_PANEL = "expected error of the depth"

@@ -14,8 +14,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from disk import whole_file
 from itof import points_from_radial
-from storage import whole_file
 
 TRUTH_COLOUR = "#3565f0"
 DISTANCE_COLOURS = ("#0a8f3c", "#e8c21a", "#d01c1c")  # at distance 0, FAR_M / 2 and FAR_M

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import TypeAdapter
 
+from disk import PathLike, PresetError, read_settings
+from disk.contract import checked_data
 from itof.sensor.settings import SensorSettings
-from storage import PathLike, PresetError, read_settings
-from storage.contract import checked_data
 
 
 def load_sensor(name_or_file: PathLike) -> SensorSettings:

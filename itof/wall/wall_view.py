@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
+from disk import NightError
+from disk.contract import STRICT
+from disk.quantities import FieldOfView, Vector
 from itof import direct_phasors
 from itof.arrays import Phasors
 from itof.wall.expected_wall import ExpectedWall
-from storage import NightError
-from storage.contract import STRICT
-from storage.quantities import FieldOfView, Vector
 
 
 class WallPlaceError(NightError):

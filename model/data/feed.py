@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import torch
 
+from disk.machine_memory import machine_bytes
 from model.data.rows import RowBlock
 from model.data.shards import Shards
-from storage.machine_memory import machine_bytes
 
 _Item = TypeVar("_Item")
 MEMORY_PART = 0.25  # of the memory of machine or GPU, for the rows of one split

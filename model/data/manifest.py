@@ -10,13 +10,13 @@ from numpy.typing import DTypeLike
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from disk import write_text
+from disk.contract import STRICT
+from disk.plain_file import read_plain
+from disk.quantities import FieldOfView, WholeCount
 from model.data.rows import RowLayout
 from scenegen import SceneEntry
 from scenegen.preset import Preset
-from storage import write_text
-from storage.contract import STRICT
-from storage.plain_file import read_plain
-from storage.quantities import FieldOfView, WholeCount
 
 SHARD_SCHEMA: Final = 3
 MANIFEST_FILE = "manifest.json"

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from disk import NightError
+from disk.quantities import FARTHEST_M
 from model.data.feed import rows_by_piece
 from model.data.shards import Shards
-from storage import NightError
-from storage.quantities import FARTHEST_M
 
 LEAST_SPREAD_M: Final = 0.01  # for scenes whose objects are all equally far
 

@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from pydantic import TypeAdapter
 
+from disk import FileHashes, whole_folder
 from model.data.array_files import ArrayFile, header_of, is_array_file, read_array
 from model.data.manifest import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
 from model.data.rows import ARRAYS, RowBlock, RowLayout
 from model.settings.run import GroundTruth
 from scenegen import Dataset
-from storage import FileHashes, whole_folder
 
 PIECE_BYTES = 128 * 2**20  # upper limit, unless one scene takes more
 PIECE_FILES = (*(f"{name}.npy" for name in ARRAYS), RECORD_FILE)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import FileHashes, NightError
 from itof import (
     DepthMap,
     Image,
@@ -31,7 +32,6 @@ from scenegen import (
     recorded_file,
 )
 from scenegen.recorded_files import changed_file
-from storage import FileHashes, NightError
 
 TRUTH_FILES: dict[GroundTruth, str] = {"geometry": GROUND_TRUTH_FILE, "simulated": MIRRORED_TRANSIENT_FILE}
 

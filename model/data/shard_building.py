@@ -10,6 +10,9 @@ from pathlib import Path
 
 from numpy.typing import DTypeLike
 
+from disk import FileHashes, inside, whole_file
+from disk.own_files import other_files
+from disk.partials import remove_leftovers
 from model.data.array_files import ArrayFile, is_array_file
 from model.data.corner import wall_view
 from model.data.manifest import (
@@ -28,9 +31,6 @@ from model.data.rows import RowLayout
 from model.settings.run import GroundTruth
 from processes.progress import showing_progress
 from scenegen import Dataset
-from storage import FileHashes, inside, whole_file
-from storage.own_files import other_files
-from storage.partials import remove_leftovers
 
 REFERENCE_FILE = "reference.npy"
 _log = logging.getLogger(__name__)

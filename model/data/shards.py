@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import FileHashes
 from model.data.array_files import read_array
 from model.data.manifest import MANIFEST_FILE, ShardManifest
 from model.data.pieces import read_rows
@@ -24,7 +25,6 @@ from model.data.rows import RowBlock
 from model.data.shard_building import REFERENCE_FILE, reference_array, shard_folder, update_shards
 from model.settings.run import GroundTruth
 from scenegen import MEASUREMENT_FILE, Dataset, RenderRecord, Split, read_failure, read_record
-from storage import FileHashes
 
 _log = logging.getLogger(__name__)
 

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from disk import PathLike, sha256_of, whole_folder
+from disk.extras import need
 from model.data.corner import wall_view
 from model.data.shards import open_shards
 from model.judging.judging import Bench, judge_split, shown_scenes
@@ -31,8 +33,6 @@ from model.run_folder.weights import WEIGHTS_FILE
 from model.settings.run import DeviceName
 from model.settings.target import MaskSource
 from scenegen import Dataset, Split
-from storage import PathLike, sha256_of, whole_folder
-from storage.extras import need
 
 _TRIES = 3  # to read weights and history of a run that goes on
 

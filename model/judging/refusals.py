@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from disk import NightError
+from disk.own_files import refuse_other_files
 from model.data.corner import many_corners_problem
 from model.data.shards import Shards
 from model.judging.report_files import files_of_report
 from model.run_folder.run_config import RunConfig
 from model.settings.target import MaskSource
 from scenegen import Dataset, Split
-from storage import NightError
-from storage.own_files import refuse_other_files
 
 MOST_FIGURE_SCENES = 20  # a taller figure is of no use on paper or screen
 

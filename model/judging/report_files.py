@@ -10,13 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from disk import whole_file, write_text
+from disk.own_files import MOST_RECORD_BYTES, hashes_of
+from disk.plain_file import read_plain
 from model.judging.calibration import Calibration
 from model.judging.groups import Group
 from model.judging.results import PAPER, Report, scene_numbers
 from model.network.metrics import Statistics
-from storage import whole_file, write_text
-from storage.own_files import MOST_RECORD_BYTES, hashes_of
-from storage.plain_file import read_plain
 
 REPORT_SCHEMA = 1
 METRICS_FILE = "metrics.json"

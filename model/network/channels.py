@@ -10,14 +10,14 @@ from array_api_compat import array_namespace, device, is_array_api_obj
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from disk import NightError
+from disk.contract import STRICT
+from disk.quantities import Positive
 from itof import SubpixelWeights, megahertz, network_channels, residual_channels, weighted_reference
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.wall_fit import WallFit
 from model.settings.input import Channels, Reference
-from storage import NightError
-from storage.contract import STRICT
-from storage.quantities import Positive
 
 # Images whose references are found at once, which takes many times the memory of their phasors.
 IMAGES_AT_ONCE: Final = 16

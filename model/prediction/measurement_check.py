@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from disk import PathLike
 from itof import amplitude
 from itof.files.measurement_files import Measurement, MeasurementError, read_measurement
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
@@ -18,7 +19,6 @@ from itof.wall.plausibility import check_measurement, check_reference
 from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
-from storage import PathLike
 
 OTHER_UNIT: Final = 10.0  # times the mean amplitude of the training scenes: far beyond what scenes differ by
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked: a file of noise is refused in seconds

@@ -16,13 +16,13 @@ import torch
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from disk import NightError, PathLike, whole_file
+from disk.extras import need
 from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
 from model.settings.train_settings import TrainSettings
-from storage import NightError, PathLike, whole_file
-from storage.extras import need
 
 INPUT: Final = "channels"
 # Names of the output, by target, and whether it has an uncertainty.

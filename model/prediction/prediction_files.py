@@ -10,6 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from disk import NightError, PathLike, whole_folder, write_text
+from disk.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files
+from disk.plain_file import read_plain
+from disk.quantities import fov_problem
 from itof import DepthMap
 from itof.files.measurement_files import Measurement, MeasurementError
 from itof.pictures.figures import prediction_figure, write_figure
@@ -24,10 +28,6 @@ from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
-from storage import NightError, PathLike, whole_folder, write_text
-from storage.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files
-from storage.plain_file import read_plain
-from storage.quantities import fov_problem
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view.
 PREDICTION_SCHEMA: Final = 5

@@ -12,6 +12,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from disk import NightError, PathLike
+from disk.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 from itof import DepthMap, amplitude
 from itof.wall.empty_corner import CapturedPlane, captured_wall, find_wall
 from itof.wall.expected_wall import ExpectedWall
@@ -25,8 +27,6 @@ from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
 from model.settings.run import DeviceName
-from storage import NightError, PathLike
-from storage.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 
 NEEDS_CAPTURE = "was trained for a capture of the empty corner: give one as reference"
 BATCH = 16  # images at a time; 320 x 240 pixels at full network width take about 1 GB

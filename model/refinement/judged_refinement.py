@@ -11,6 +11,9 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from disk import PathLike, is_partial, whole_file, write_text
+from disk.inner_paths import inside
+from disk.plain_file import read_plain
 from model.data.shards import open_shards
 from model.judging.refusals import (
     EvaluationError,
@@ -29,9 +32,6 @@ from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import Dataset, Preset, Split
-from storage import PathLike, is_partial, whole_file, write_text
-from storage.inner_paths import inside
-from storage.plain_file import read_plain
 
 RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
 TABLE_FILE, FIGURE_FILE = "refined.csv", "refined.png"

@@ -7,9 +7,9 @@ from typing import Any
 
 from pydantic.dataclasses import dataclass as checked_dataclass
 
+from disk.contract import STRICT
+from disk.quantities import Vector
 from model.network.metrics import ImageMetrics, summarise, summary_cells
-from storage.contract import STRICT
-from storage.quantities import Vector
 
 
 @checked_dataclass(frozen=True, config=STRICT)

@@ -15,6 +15,10 @@ from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass as checked_dataclass
 from scipy.spatial.transform import Rotation
 
+from disk import whole_file, write_text
+from disk.contract import STRICT
+from disk.plain_file import read_plain
+from disk.quantities import Vector
 from itof import DepthMap
 from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
@@ -32,10 +36,6 @@ from model.run_folder.run_config import Sha256
 from model.settings.run import DeviceName
 from processes.worker_processes import KILLED, results_in_order, worker_pool
 from scenegen import Dataset, Split, open_dataset
-from storage import whole_file, write_text
-from storage.contract import STRICT
-from storage.plain_file import read_plain
-from storage.quantities import Vector
 
 SCENES_FOLDER = "scenes"
 MOST_RESULT_BYTES = 2**20

@@ -11,7 +11,7 @@ import hashlib
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from storage.plain_file import opened_plain
+from disk.plain_file import opened_plain
 
 DIGITS: Final = 64
 ZEROS: Final = "0" * DIGITS

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from disk import PathLike, whole_folder
 from model.run_folder.checksums import read_at_most
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import save_weights, trained_network
-from storage import PathLike, whole_folder
 
 _MOST_BYTES: Final = 2**28
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
+from disk import whole_file
 from model.run_folder.checksums import read_at_most
 from model.run_folder.run_config import RunError
-from storage import whole_file
 
 HISTORY_FILE: Final = "history.csv"
 CHECK: Final = "crc32"

@@ -14,6 +14,9 @@ import torch
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from disk import NightError, PathLike, whole_file
+from disk.contract import STRICT, checked
+from disk.quantities import FieldOfView, Positive
 from itof.wall.wall_view import WallView
 from model.network.bounce_images import BounceImages
 from model.network.channels import InputSpec
@@ -24,9 +27,6 @@ from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, 
 from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings.target import ComponentsTarget, MaskAndDepthTarget
 from model.settings.train_settings import MAY_CHANGE_ON_RESUME, TrainSettings, flat_settings, plain_settings
-from storage import NightError, PathLike, whole_file
-from storage.contract import STRICT, checked
-from storage.quantities import FieldOfView, Positive
 
 RUN_SCHEMA: Final = 4
 CONFIG_FILE: Final = "run.json"

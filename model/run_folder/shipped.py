@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from storage import PathLike, data_folder
+from disk import PathLike, data_folder
 
 WEIGHTS: Final = "weights"  # folder of data/
 

@@ -14,10 +14,10 @@ import torch
 from safetensors.torch import load, save
 from torch import Tensor
 
+from disk import whole_file
 from model.network.unet import UNet, least_weights
 from model.run_folder.checksums import label_text, labelled, read_at_most, read_label
 from model.run_folder.run_config import RunConfig, RunError
-from storage import whole_file
 
 WEIGHTS_FILE: Final = "best.safetensors"
 _METADATA: Final = "night"

@@ -7,9 +7,9 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from disk.contract import DOCUMENTED
+from disk.quantities import Fraction, NotNegative
 from itof.sensor.settings import SensorSettings
-from storage.contract import DOCUMENTED
-from storage.quantities import Fraction, NotNegative
 
 
 @dataclass(frozen=True, config=DOCUMENTED)

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from storage.contract import DOCUMENTED
-from storage.quantities import Positive
+from disk.contract import DOCUMENTED
+from disk.quantities import Positive
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
 AmplitudeDivisor = Literal["mean", "maximum"]

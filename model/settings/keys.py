@@ -10,7 +10,7 @@ from typing import Any, Final, get_args
 
 from pydantic.fields import FieldInfo
 
-from storage import PresetError
+from disk import PresetError
 
 KIND: Final = "kind"  # the key that says which other keys a table has
 _NEAREST: Final = 3

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from storage.contract import DOCUMENTED
+from disk.contract import DOCUMENTED
 
 MOST_MULTIPLE: Final = 1024  # pixels: images are enlarged to a multiple of blocks, halved at every level
 

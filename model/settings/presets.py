@@ -6,10 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from disk import NightError, PathLike, PresetError, inside, read_settings, shipped_file
 from itof.sensor.cameras import load_sensor
 from itof.sensor.settings import SensorSettings
 from model.settings.keys import merged
-from storage import NightError, PathLike, PresetError, inside, read_settings, shipped_file
 
 
 def training_preset(name_or_file: PathLike) -> tuple[dict[str, Any], str]:

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from storage.contract import DOCUMENTED
-from storage.quantities import NotNegative, WholeCount
+from disk.contract import DOCUMENTED
+from disk.quantities import NotNegative, WholeCount
 
 GroundTruth = Literal["geometry", "simulated"]
 DeviceName = Literal["auto", "cpu", "cuda"]

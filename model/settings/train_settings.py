@@ -9,6 +9,8 @@ from typing import Any, Final
 from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from disk import PresetError
+from disk.contract import DOCUMENTED, checked_data
 from model.settings.augmentation import AugmentationSettings
 from model.settings.input import InputSettings, PaperChannels
 from model.settings.keys import merged, wrong_key
@@ -16,8 +18,6 @@ from model.settings.network import NetworkSettings
 from model.settings.optimiser import OptimiserSettings
 from model.settings.run import RunSettings
 from model.settings.target import MaskAndDepthTarget, TargetSettings
-from storage import PresetError
-from storage.contract import DOCUMENTED, checked_data
 
 MAY_CHANGE_ON_RESUME: Final = frozenset(
     {"run.max_epochs", "run.device", "run.progress", "run.checkpoint_minutes"}

@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import torch
 
+from disk import whole_file
 from model.run_folder.checksums import label_text, labelled, read_at_most
 from model.run_folder.run_config import RUN_SCHEMA, RunConfig, RunError
 from model.run_folder.weights import least_bytes, refuse_other_label
-from storage import whole_file
 
 CHECKPOINT_FILE: Final = "checkpoint.pt"
 KEYS: Final = frozenset({"network", "optimisation", "best", "position", "history", "window_rows"})

@@ -11,10 +11,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from disk import NightError
+from disk.locks import is_same_file, lock, open_lock_file
 from model.run_folder.run_config import RunError
 from model.training.processes import ProcessError, Processes
-from storage import NightError
-from storage.locks import is_same_file, lock, open_lock_file
 
 LOCK_FILE: Final = ".training"
 _MOST_ATTEMPTS: Final = 1000  # at a folder that others remove, or in which no file can be made

@@ -16,11 +16,11 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 from torch import Tensor
 from torch.utils.tensorboard.summary import image, scalar
 
+from disk import inside
 from model.data.batches import Batch
 from model.network.readout import Readout
 from model.training.optimisation import Optimisation
 from model.training.refusals import naming_disk
-from storage import inside
 
 LOG_FOLDER: Final = "log"
 

@@ -11,6 +11,7 @@ from typing import Final, Literal
 
 import torch
 
+from disk import PathLike, remove_leftovers
 from itof.wall.wall_view import WallPlaceError
 from model.data.channel_scaling import fit_input_spec, largest_shift_m
 from model.data.corner import many_corners_problem, wall_view
@@ -51,7 +52,6 @@ from model.training.refusals import (
 from model.training.state import TrainingState, rows_of
 from processes.progress import showing_progress
 from scenegen import Dataset
-from storage import PathLike, remove_leftovers
 
 _log = logging.getLogger(__name__)
 _AGAIN: Final = "start again"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from storage import NightError
+from disk import NightError
 
 # Upper limit of a sound loss. Initial weights give well below 100, and a depth error of one unambiguous range
 # gives 56 m^2 with the squared error.

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from disk import NightError
 from model.device import DeviceError, choose_device
 from model.settings.run import DeviceName
-from storage import NightError
 
 # Gloo's threads release the tensors of the last sum a little after it is done, and need the interpreter for
 # that. An interpreter that ends before that aborts the process, so it waits.

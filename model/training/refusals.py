@@ -8,6 +8,7 @@ from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 from typing import Final
 
+from disk import NightError, is_partial
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
 from model.device import plain_memory_errors
@@ -17,7 +18,6 @@ from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset
-from storage import NightError, is_partial
 
 RESUME: Final = "go on with night-train --resume"
 GO_ON: Final = f"{RESUME}; the run keeps its last checkpoint"

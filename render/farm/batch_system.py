@@ -13,9 +13,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from disk import PathLike
 from render.farm.dask_settings import NO_DASHBOARD, ClusterError, own_certificates
 from render.farm.submissions import Submissions, watched_cluster, watched_job
-from storage import PathLike
 
 if TYPE_CHECKING:
     from dask_jobqueue.core import JobQueueCluster

@@ -19,9 +19,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from storage import NightError, inside
-from storage.locks import is_same_file, lock, open_lock_file
-from storage.plain_file import read_plain
+from disk import NightError, inside
+from disk.locks import is_same_file, lock, open_lock_file
+from disk.plain_file import read_plain
 
 _CLAIMS, _RUN, _NOTE = ".claims", ".run", ".note"
 _MOST_RUNS, _MOST_BYTES = 16, 4096  # of a claim file: runs whose attempts it counts, and its size

@@ -8,14 +8,14 @@ from contextlib import ExitStack, contextmanager
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING
 
+from disk import PathLike
+from disk.extras import need
 from render.backend import Device
 from render.farm.batch_system import batch_cluster, check_cluster_file
 from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.local_workers import local_cluster
 from render.farm.scheduler_address import CONNECT_S, check_address, check_answer
 from render.farm.submissions import Submissions
-from storage import PathLike
-from storage.extras import need
 
 if TYPE_CHECKING:
     from distributed import Client

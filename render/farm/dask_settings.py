@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from storage import NightError
-from storage.private_folder import private_folder
+from disk import NightError
+from disk.private_folder import private_folder
 
 if TYPE_CHECKING:
     from distributed import Security

@@ -8,10 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
 
+from disk import FileHashes
 from render.edited_scenes import is_edited, known_digest
 from render.settings import RenderSettings, satisfies
 from scenegen import Dataset, FileRecord, RenderRecord, read_failure, read_record
-from storage import FileHashes
 
 # done: all files are there, intact, and have this recipe. failed: rendering with this recipe failed. other:
 # rendered with another recipe. damaged: files are gone or differ from the record. missing: everything else.

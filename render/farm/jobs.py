@@ -20,12 +20,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
+from disk import NightError
 from render.farm.claims import claimed
 from render.farm.inventory import Inventory
 from render.rendering import Renderer
 from render.settings import RenderSettings
 from scenegen import DatasetError, open_dataset, read_failure
-from storage import NightError
 
 MAX_ATTEMPTS = 2
 Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]

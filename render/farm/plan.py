@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from disk.byte_size import size
 from itof import TransientLayout
 from render.settings import RenderSettings
 from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record
-from storage.byte_size import size
 
 _TRUTH_CHANNELS = 4  # of the ground truth: depth, mask, Re, Im
 _COMPONENTS = 2  # Re and Im

@@ -15,13 +15,13 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from disk import NightError
 from render.farm.claims import attempts_of, claimed
 from render.farm.inventory import Inventory, known_recipe
 from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
 from render.farm.submissions import Submissions
 from render.settings import RenderSettings
 from scenegen import Dataset, FailureRecord, read_record, write_failure
-from storage import NightError
 
 if TYPE_CHECKING:
     from distributed import Client, Future

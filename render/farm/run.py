@@ -8,6 +8,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from disk import NightError, PathLike, inside
 from processes.progress import showing_progress
 from render.backend import select_variant
 from render.edited_scenes import refuse_edited, refuse_measured, without_effect
@@ -23,7 +24,6 @@ from render.farm.run_result import RunResult
 from render.farm.submissions import Submissions
 from render.settings import RenderError, RenderSettings
 from scenegen import Dataset, read_record
-from storage import NightError, PathLike, inside
 
 log = logging.getLogger(__name__)
 

@@ -12,12 +12,12 @@ from itertools import pairwise
 from statistics import median_low
 from typing import Any
 
+from disk.byte_size import size
 from processes.progress import duration
 from render.farm.claims import running
 from render.farm.inventory import Inventory, State
 from render.settings import RenderSettings
 from scenegen import RECORD_FILE, Dataset, read_bad_render, read_failure, read_record
-from storage.byte_size import size
 
 _LATEST = 200  # scenes that the pace is computed from
 _LISTED = 10  # failures that are named

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import PathLike, whole_folder, write_text
 from itof import DepthMap, megahertz, phasor_channels, write_image
 from itof.capture.record import read_import_record
 from itof.files.measurement_files import Measurement, read_measurement
@@ -36,7 +37,6 @@ from scenegen import (
 from scenegen.dataset import MEASURED_GENERATOR
 from scenegen.pose import wall_geometry
 from scenegen.scene import HiddenObject
-from storage import PathLike, whole_folder, write_text
 
 WallSource = Literal["empty", "preset"]  # of the relay wall's place
 MEASURED: Final = "measured"  # object class of the scenes

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from disk import NightError
 from itof import DepthMap, unwrap_depth
 from itof.wall.expected_wall import ExpectedWall
-from storage import NightError
 
 _BEHIND_M: Final = 0.05  # behind the wall's plane: nearer light is the wall's own
 _SINGLE_RAD: Final = 0.3  # rms phase that one return may leave: more is two surfaces in a pixel, or noise

@@ -12,11 +12,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from disk import NightError
+from disk.byte_size import size
 from itof import DEPTH_CHANNEL, MASK_CHANNEL, megahertz, unambiguous_range_m
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
-from storage import NightError
-from storage.byte_size import size
 
 CARD_FILE = "README.md"
 CONTACT_SHEET, DISTRIBUTIONS = "preview/contact_sheet.png", "preview/distributions.png"

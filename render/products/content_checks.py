@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import OutsideError, inside
 from itof import (
     DepthMap,
     Image,
@@ -33,7 +34,6 @@ from scenegen import (
     RenderRecord,
 )
 from scenegen.render_folder import difference
-from storage import OutsideError, inside
 
 # Phasors of bins may differ from exact ones by this share of the hidden part, because the two sum over
 # different nodes in the pixels, and bins over merged arrivals. Twice the 1 % of docs/science/renderer.md.

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from disk import NightError, PathLike, whole_file, whole_folder
 from itof import Splat, TransientReader, highest_frequency_hz, megahertz, phasor_channels, write_image
 from scenegen import MEASUREMENT_FILE, RENDER_AGAIN, TRANSIENT_FILE, Dataset, recorded_file
-from storage import NightError, PathLike, whole_file, whole_folder
 
 FAINT_HIDDEN = 3e-4  # hidden part of a faint scene of the paper, relative to the direct return
 _SHARE: dict[Splat, float] = {"quadratic": 0.01, "tent": 0.05, "point": 0.05}
@@ -51,14 +51,14 @@ def open_transient(dataset: Dataset, scene_id: str) -> TransientReader:
 
 @contextmanager
 def exported_file(out: PathLike) -> Iterator[Path]:
-    """`storage.whole_file` that raises `ExportError` if `out` cannot be written."""
+    """`disk.whole_file` that raises `ExportError` if `out` cannot be written."""
     with _refusing(out), whole_file(out) as partial:
         yield partial
 
 
 @contextmanager
 def exported_folder(out: PathLike) -> Iterator[Path]:
-    """`storage.whole_folder` that raises `ExportError` if `out` cannot be written."""
+    """`disk.whole_folder` that raises `ExportError` if `out` cannot be written."""
     with _refusing(out), whole_folder(out) as partial:
         yield partial
 

@@ -9,10 +9,10 @@ import json
 from datetime import UTC, datetime
 from typing import Any
 
+from disk import sha256_of
 from render.products.card import CITATION, about
 from render.products.distributions import Distributions
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, RENDERING_FILE, TRANSIENT_FILE, Dataset
-from storage import sha256_of
 
 CROISSANT_FILE = "croissant.json"
 _WRITER = "night-gen preview"  # by which an earlier file of ours is recognised

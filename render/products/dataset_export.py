@@ -10,6 +10,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from disk import PathLike, sha256_of
+from disk.byte_size import size
+from disk.extras import need
 from render.products.card import read_card
 from render.products.conversion import ExportError, exported_file, exported_folder
 from render.products.export_format import FORMAT, FORMAT_VERSION
@@ -17,9 +20,6 @@ from render.products.export_rows import Rows, new_rows
 from render.products.export_scenes import RefusedSceneError, SceneSource
 from render.products.zarr_copy import copy_to_zarr, digest_of_folder
 from scenegen import Dataset
-from storage import PathLike, sha256_of
-from storage.byte_size import size
-from storage.extras import need
 
 _ZARR = ".zarr"
 _ENDINGS = (".h5", ".hdf5", _ZARR)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import NightError
 from itof import DepthMap, Image, ImageFileError, read_image
 from render.products.content_checks import has_part, wrong_phasors, wrong_pixels
 from render.products.conversion import ExportError
@@ -29,7 +30,6 @@ from scenegen import (
     recorded_file,
 )
 from scenegen.scene_folder import SCENE_FILE
-from storage import NightError
 
 Reason = Literal["not rendered", "given up", "found bad", "other settings", "damaged"]
 _PARTS = ("direct", "hidden")

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.plain_file import read_plain
 from itof import pixel_rays
 from scenegen import Dataset, camera_axes, wall_normal
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.triangles import scene_triangles
-from storage.plain_file import read_plain
 
 
 def traced_depth_m(

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import PathLike
+from disk.extras import need
 from itof import TransientLayout, TransientReader
 from render.products.conversion import ExportError, exported_file
 from render.products.movie_encoding import encode_gif, encode_mp4
 from render.products.movie_pictures import DECADES, Frames, Span, draw_pictures
-from storage import PathLike
-from storage.extras import need
 
 _MOST_BYTES = 256 * 2**20  # of all frames as float32
 _MOST_PIXELS_WIDE, _NARROWEST = 1280, 240  # the label is 230 pixels wide

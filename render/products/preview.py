@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import NightError, inside, whole_file, write_text
+from disk.plain_file import read_plain
 from render.products.card import (
     CARD_FILE,
     CONTACT_SHEET,
@@ -28,8 +30,6 @@ from scenegen.making.meshes import UserMesh
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.shapes import MESH_PREFIX
 from scenegen.triangles import scene_triangles
-from storage import NightError, inside, whole_file, write_text
-from storage.plain_file import read_plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import PathLike
 from itof import TransientLayout, TransientReader, pixel_rays
 from render.products.conversion import ExportError, exported_file, open_transient
 from render.products.deferred_error_file import hdf5_file
 from render.products.rendered_scene import rendered_scene
 from scenegen import TRANSIENT_FILE, Dataset, Scene, camera_axes, rotation_matrix, wall_normal
-from storage import PathLike
 
 if TYPE_CHECKING:
     import h5py

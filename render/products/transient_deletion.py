@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from disk import remove_leftovers, sha256_of
 from itof import read_image
 from render.farm.claims import joined_run, rendering_record_locked
 from render.products.conversion import ExportError
 from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record, write_record, write_rendering_record
-from storage import remove_leftovers, sha256_of
 
 
 def transient_bytes(dataset: Dataset, scenes: Iterable[str]) -> int:

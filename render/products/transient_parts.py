@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import NightError, inside
+from disk.plain_file import read_plain
 from itof import WIDEST_REACH_BINS, TransientLayout, pixel_rays
 from render.settings import RenderError
 from scenegen import Dataset, Scene, camera_axes, rotation_matrix, wall_normal
 from scenegen.mitsuba_description import hidden_names
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.triangles import scene_triangles
-from storage import NightError, inside
-from storage.plain_file import read_plain
 
 _MOST_TRIANGLES = 200_000  # looked at again in finer parts
 _FINEST = 16  # times that triangles are divided

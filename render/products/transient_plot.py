@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from disk import PathLike
 from itof import SPEED_OF_LIGHT, WIDEST_REACH_BINS, TransientLayout, TransientReader
 from render.products.conversion import ExportError, exported_file, open_transient
 from render.products.rendered_scene import rendered_scene
 from render.products.transient_parts import first_hidden_bin, hidden_start_m
 from scenegen import Dataset, Scene
-from storage import PathLike
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,6 +10,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
+from disk import NightError
 from itof import read_image
 from processes.worker_processes import results_in_order, worker_pool
 from render.farm.claims import claimed
@@ -38,7 +39,6 @@ from scenegen import (
 )
 from scenegen.render_folder import BAD_FILE
 from scenegen.scene_folder import differences, folder_digest
-from storage import NightError
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from storage import sha256_of
+from disk import sha256_of
 
 _CHUNK_BYTES = 2**20
 _LEVEL = 5  # of Zstandard

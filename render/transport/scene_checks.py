@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import NightError
 from render.transport.lights.hidden_surface import hidden_shapes
-from storage import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

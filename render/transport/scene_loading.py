@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import NightError
 from scenegen import Dataset
 from scenegen.mitsuba_description import ROUGH_WALL, Description, mirrored_description, seen_description
 from scenegen.scene_folder import read_scene_folder, scene_of
 from scenegen.triangles import MeshError, scene_texture_coordinates, scene_triangles
 from scenegen.wall_image import WALL_IMAGE
-from storage import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

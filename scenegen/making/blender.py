@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.quantities import Vector
 from processes.silence import silenced
 from scenegen.making.blender_picture import outside_view
 from scenegen.making.blender_shapes import (
@@ -32,7 +33,6 @@ from scenegen.scene import Scene, Wall, scene_to_json
 from scenegen.scene_folder import SCENE_FILE, WALLS
 from scenegen.shapes import PRIMITIVES, Shape
 from scenegen.wall_image import WALL_IMAGE, texture_coordinates, wall_pfm
-from storage.quantities import Vector
 
 CLEARANCE_M = 1e-3  # objects keep this distance to the relay wall, so that no ray starts inside it
 

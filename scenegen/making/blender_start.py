@@ -11,8 +11,8 @@ import os
 import tempfile
 from functools import cache
 
+from disk.night_error import NightError
 from processes.silence import silenced
-from storage.night_error import NightError
 
 
 class BlenderError(NightError):

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from disk.path_like import PathLike
+from disk.preset_files import read_settings
 from processes.progress import showing_progress
 from scenegen.dataset import Dataset
 from scenegen.making.depth_range import refuse_wrapping_depths
 from scenegen.making.generation_pool import generate_in_processes
 from scenegen.making.meshes import read_meshes
 from scenegen.preset import Preset, preset_from_dict
-from storage.path_like import PathLike
-from storage.preset_files import read_settings
 
 
 def make_dataset(

@@ -9,13 +9,13 @@ from math import floor, hypot, log10
 import numpy as np
 from scipy.constants import speed_of_light
 
+from disk.preset_files import PresetError
+from disk.quantities import Extent
 from scenegen.making.meshes import UserMesh
 from scenegen.pose import wall_normal
 from scenegen.preset import HiddenObjectSettings, Preset
 from scenegen.scene import Wall
 from scenegen.shapes import Shape
-from storage.preset_files import PresetError
-from storage.quantities import Extent
 
 _ROUNDING = 1e-6  # relative, of float32 coordinates
 

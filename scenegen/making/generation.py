@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
+from disk.inner_paths import inside
+from disk.whole_writing import whole_folder
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
 from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
 from scenegen.preset import Preset
 from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene
-from storage.inner_paths import inside
-from storage.whole_writing import whole_folder
 
 
 class Maker(Protocol):

@@ -9,12 +9,12 @@ from itertools import chain
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
+from disk.night_error import NightError
 from processes.worker_processes import KILLED, results_in_order, submit, worker_pool
 from scenegen.dataset import Dataset, SceneEntry
 from scenegen.making.generation import Maker, finish, prepare, reported, write_scene
 from scenegen.making.target import NO_MESHES, alone_in
 from scenegen.preset import Preset
-from storage.night_error import NightError
 
 _CHUNK = 16  # scenes of one task: it takes tens of milliseconds, so that progress is visible
 

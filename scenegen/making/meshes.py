@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from disk.inner_paths import inside
 from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.triangles import MeshError, read_triangles
-from storage.inner_paths import inside
 
 FORMATS = ("ply", "stl", "obj", "off", "glb")  # trimesh also reads archives, which unpack to any size
 MAX_FILE_BYTES = 2**30  # two million triangles as text take about half of it

@@ -12,14 +12,14 @@ from errno import EBADF
 from pathlib import Path
 from types import MappingProxyType
 
+from disk.inner_paths import inside
+from disk.locks import lock
+from disk.partials import is_partial, remove_leftovers
+from disk.plain_file import read_plain
 from scenegen.dataset import DatasetError, open_dataset
 from scenegen.preset import Preset
 from scenegen.scene import scene_from_json, scene_id
 from scenegen.scene_folder import MOST_FILE_BYTES, SCENE_FILE, is_scene_file
-from storage.inner_paths import inside
-from storage.locks import lock
-from storage.partials import is_partial, remove_leftovers
-from storage.plain_file import read_plain
 
 NO_MESHES: Mapping[str, str] = MappingProxyType({})
 _NAMED = 3  # files that a refusal names

@@ -14,12 +14,12 @@ from night_commands import DEFECT, night_here, refusal
 import cli
 from commandline.options import Megahertz
 from commandline.training_options import SHOWN, given_settings
+from disk import NightError
 from itof import ImageFileError
 from model.settings.keys import all_keys, merged
 from model.settings.presets import training_preset
 from model.settings.target import DepthTarget
 from model.settings.train_settings import TrainSettings, settings_from_dict
-from storage import NightError
 
 PROGRAMS = {
     "night-gen": cli.night_gen,

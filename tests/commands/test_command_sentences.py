@@ -1,7 +1,7 @@
 """The sentence that a command ends with: short, and harmless for a terminal, whatever a file holds."""
 
 from commandline.sentences import sentence_of
-from storage import NightError
+from disk import NightError
 
 
 def test_text_of_a_file_reaches_the_terminal_without_control_characters():

@@ -17,9 +17,9 @@ from full_disk import file_size_limit
 from night_commands import FIGURES, TRAINING, UNCERTAINTY, night, night_here, words
 from render_runs import workers_of
 
+from disk.byte_size import size
 from itof import TransientReader, read_image
 from scenegen import open_dataset
-from storage.byte_size import size
 
 
 def tree(folder):

@@ -6,9 +6,9 @@ import graphlib
 import pytest
 from source_tree import ROOMS, imports, needed_by, sources
 
-BASEMENT = {"storage", "processes"}
+BASEMENT = {"disk", "processes"}
 MAY_IMPORT = {
-    "storage": set(),
+    "disk": set(),
     "processes": set(),
     "scenegen": BASEMENT,
     "itof": BASEMENT,
@@ -20,7 +20,7 @@ MAY_IMPORT = {
 }
 # What each wing may import of its own room, when it is loaded and later. A wing is a package or a module.
 WINGS = {
-    "storage": set(),
+    "disk": set(),
     "processes": set(),
     "scenegen": set(),
     "scenegen.making": {"scenegen"},

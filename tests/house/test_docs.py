@@ -20,7 +20,7 @@ DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 MOST_WORDS, LONGEST_CELL = 25_000, 200
 ROOMS = ("scenegen", "itof", "render", "model")
-ROOM_FOLDERS = ("storage", "processes", *ROOMS, "commandline")
+ROOM_FOLDERS = ("disk", "processes", *ROOMS, "commandline")
 PROGRAMS = [
     *ROOT.glob("*.py"),
     *(

@@ -12,7 +12,7 @@ import pytest
 from night_commands import PRESET, TRAINING
 from source_tree import ROOT
 
-PACKAGES = ("commandline", "storage", "processes", "scenegen", "itof", "render", "model")
+PACKAGES = ("commandline", "disk", "processes", "scenegen", "itof", "render", "model")
 PACKED = {*PACKAGES, "data", "cli.py", "night_nlos.py", "pyproject.toml", "README.md", "LICENSE"}
 
 

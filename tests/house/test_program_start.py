@@ -15,7 +15,7 @@ from source_tree import ROOMS, ROOT
 
 import night_nlos
 from commandline.streams_and_caches import prepare_process
-from storage.private_folder import private_folder
+from disk.private_folder import private_folder
 
 PROGRAMS = ("night-gen", "night-render", "night-train", "night-eval")
 FULL = "/dev/full"

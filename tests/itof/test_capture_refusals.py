@@ -12,13 +12,13 @@ from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
 from wall_measurements import wall_of_plane
 
+from disk import PresetError
 from itof import phase
 from itof.capture.capture import capture_of
 from itof.capture.demodulating import sensor_pixels
 from itof.capture.sidecar import CaptureError
 from itof.capture.sidecar_files import load_sidecar
 from itof.files.array_claims import RefusedError
-from storage import PresetError
 
 PHASOR = wall_of_plane().direct
 RAW = np.round(1000 * taps_of(PHASOR, steps(4), steps(2)))[None]  # (N, H, W, F, S, T)

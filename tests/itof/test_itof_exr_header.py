@@ -12,6 +12,7 @@ import OpenEXR
 import pytest
 from exr_bytes import COMPRESSIONS, OTHERS, SHAPE, attribute, end_of_header, pictures, write_exr
 
+from disk.machine_memory import limit_files
 from itof import (
     ImageFileError,
     TransientLayout,
@@ -22,7 +23,6 @@ from itof import (
     write_image,
 )
 from itof.exr.header import read_structure
-from storage.machine_memory import limit_files
 
 
 def put(name, at, value):
@@ -216,16 +216,16 @@ def test_what_does_not_fit_into_memory_is_refused_by_its_size(tmp_path, monkeypa
         writer.write_rows(np.zeros((4, 8, 100)))
     image_bytes, block_bytes = 64 * 64 * 4, 4 * 8 * 100 * 4
     row_bytes = (2 * 64 * 4, 2 * 8 * 100 * 4)  # OpenEXR unpacks a row, with twice its size
-    monkeypatch.setattr("storage.machine_memory.machine_bytes", lambda: 8 * (image_bytes + row_bytes[0]) - 1)
+    monkeypatch.setattr("disk.machine_memory.machine_bytes", lambda: 8 * (image_bytes + row_bytes[0]) - 1)
     with pytest.raises(ImageFileError, match=r"claims 16\.5 KiB of memory, and this machine has 132 KiB"):
         read_image(tmp_path / "image.exr")
-    monkeypatch.setattr("storage.machine_memory.machine_bytes", lambda: 6 * (block_bytes + row_bytes[1]))
+    monkeypatch.setattr("disk.machine_memory.machine_bytes", lambda: 6 * (block_bytes + row_bytes[1]))
     with TransientReader(tmp_path / "t.exr") as reader:  # a block of it fits
         assert reader.read_rows(0, 4).shape == (4, 8, 100)
         assert reader.phasors([20e6]).shape == (4, 8, 1)
         with pytest.raises(ImageFileError, match=r"t\.exr claims 20 KiB of memory"):
             reader.phasors([20e6 + hz for hz in range(40)])  # 16 bytes, 40 frequencies, 32 pixels, 3 times
-    monkeypatch.setattr("storage.machine_memory.machine_bytes", lambda: 5000)
+    monkeypatch.setattr("disk.machine_memory.machine_bytes", lambda: 5000)
     with pytest.raises(ImageFileError, match=r"claims 18\.8 KiB of memory"):
         TransientReader(tmp_path / "t.exr")
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.constants import c, e, h
 
+from disk import PresetError
 from itof import pixel_rays
 from itof.sensor.camera import Camera
 from itof.sensor.cameras import load_sensor
@@ -28,7 +29,6 @@ from itof.sensor.light import (
 )
 from itof.sensor.noise import phase_noise_rad
 from itof.sensor.settings import SensorSettings
-from storage import PresetError
 
 HZ = (20e6, 50e6, 60e6)
 SMALL = SensorSettings(width=24, height=18)

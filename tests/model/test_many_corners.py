@@ -13,6 +13,7 @@ from spread_cameras import SHOWN, inverse_distance_per_m, preset, preset_text
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, config_of, settings, train_on_one_thread
 
+from disk import PresetError
 from itof import direct_phasors, read_image
 from model.data.augmentation import Augmentation, Draws
 from model.data.batches import BatchMaker
@@ -26,7 +27,6 @@ from model.run_folder.run_config import read_config
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from scenegen import camera_axes, open_dataset, sample_scene, scene_to_json, wall_normal
-from storage import PresetError
 
 SPREAD = {"location_m": 0.2, "rotation_deg": 4.0}
 PRESET = """

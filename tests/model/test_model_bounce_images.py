@@ -10,6 +10,7 @@ from safetensors.torch import load_file
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import assert_same_end, settings
 
+from disk import PresetError
 from itof import pixel_rays
 from model.data.corner import wall_view
 from model.data.object_depth import object_depth_m
@@ -25,7 +26,6 @@ from model.refinement.light.three_bounces import Bounces
 from model.run_folder.run_config import RunError
 from model.training.loop import train
 from model.training.refusals import TrainingError
-from storage import PresetError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 HZ = (20e6, 50e6, 60e6)

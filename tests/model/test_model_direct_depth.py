@@ -8,6 +8,7 @@ import torch
 from night_commands import night_here, refusal
 from training_runs import FLIP, assert_same_end, config_of, settings
 
+from disk import PresetError
 from itof import DepthMap, phasor_of_return
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.network.readout import Readout
@@ -15,7 +16,6 @@ from model.paper.loss import NightLoss
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.training.loop import train
-from storage import PresetError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 DIRECT = Readout(20e6, target="depth", mask_from="depth")

@@ -10,12 +10,12 @@ from night_commands import night_here, refusal
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import before_each_network, blind
 
+from disk.partials import HOST
 from itof import pixel_rays
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
 from model.run_folder.run_config import RunError
-from storage.partials import HOST
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

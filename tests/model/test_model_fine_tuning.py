@@ -22,6 +22,7 @@ from training_runs import (
 )
 
 import model
+from disk import sha256_of
 from model.data.shards import open_shards
 from model.prediction.predictor import load
 from model.run_folder.history import read_history
@@ -29,7 +30,6 @@ from model.run_folder.run_config import RunError, read_config
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from scenegen import open_dataset
-from storage import sha256_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STILL = {"learning_rate": 1e-30, "noise_sigma": 0.0, "max_epochs": 1}

@@ -56,7 +56,7 @@ def test_every_choice_learns_on_closed_form_scenes(closed_form_scenes, tmp_path,
     train(closed_form_scenes, tmp_path / "run", chosen)
     with (tmp_path / "run" / "history.csv").open() as stream:
         losses = [float(line["train_loss"]) for line in csv.DictReader(stream)]
-    loss = NightLoss(Readout(20e6), chosen.loss, chosen.loss_on)
+    loss = NightLoss(Readout(20e6), chosen.target.loss, chosen.target.loss_on)
     assert losses[-1] < best_constant_loss(closed_form_scenes, loss)
 
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
 
+from disk.machine_memory import machine_bytes
 from model.data.feed import Feed, rows_by_piece, shuffled_windows, window_rows, windows_in_order
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
-from storage.machine_memory import machine_bytes
 
 # 100 rows of 150, in pieces of 10: two of three, as a training split has them.
 ROWS = [row for row in range(150) if row % 3]

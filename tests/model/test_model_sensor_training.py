@@ -10,6 +10,7 @@ from night_commands import refusal
 from training_runs import config_of, settings
 from wall_rows import FREQUENCIES_HZ, HEIGHT, WIDTH, draws_of, measured_rows
 
+from disk import PresetError
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.cameras import load_sensor
 from itof.sensor.imperfections import PERFECT
@@ -24,7 +25,6 @@ from model.settings.presets import training_preset
 from model.settings.train_settings import settings_from_dict
 from model.training.loop import train
 from model.training.refusals import TrainingError
-from storage import PresetError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from disk import PresetError
 from itof.wall.wall_view import WallView
 from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, StartingWeights
 from model.settings.keys import merged, tables
 from model.settings.presets import training_preset
 from model.settings.train_settings import TrainSettings, flat_settings, plain_settings, settings_from_dict
-from storage import PresetError
 
 PRESETS = Path(__file__).parents[2] / "data" / "training"
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from synthetic_dataset import edit_image, write_synthetic_dataset
 
+from disk import sha256_of
 from itof import ImageFileError
 from model.data import shard_building
 from model.data.renders import ShardError
 from model.data.rows import RowLayout
 from model.data.shards import open_shards
 from scenegen import open_dataset
-from storage import sha256_of
 
 WIDTH, HEIGHT = 11, 7
 

@@ -10,6 +10,7 @@ from synthetic_dataset import write_synthetic_dataset
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from training_runs import before_each_network, checkpoint, edit_settings, settings
 
+from disk.partials import HOST
 from model.data.channel_scaling import fit_input_spec
 from model.data.shards import open_shards
 from model.device import DeviceError, choose_device
@@ -19,7 +20,6 @@ from model.run_folder.run_config import RUN_SCHEMA, RunError
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from scenegen import FailureRecord, write_failure
-from storage.partials import HOST
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

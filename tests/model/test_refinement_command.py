@@ -14,6 +14,7 @@ from render_runs import render_scenes, wait_for, workers_of
 from threadpoolctl import threadpool_limits
 from training_runs import edit_weights
 
+from disk import OutsideError
 from itof import DepthMap
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
@@ -21,7 +22,6 @@ from model.refinement.judged_refinement import refine_split
 from model.refinement.refined_figure import write_refined_figure
 from model.run_folder.shipped import run_folder
 from scenegen import open_dataset
-from storage import OutsideError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -16,10 +16,10 @@ from source_tree import ROOT
 from synthetic_dataset import write_synthetic_dataset, write_synthetic_render
 
 import model
+from disk import sha256_of
 from itof import DepthMap, read_image
 from render.products.dataset_export import export_dataset
 from scenegen import open_dataset, read_record
-from storage import sha256_of
 
 PARTS = {"phasors": "itof", "direct_phasors": "direct", "hidden_phasors": "hidden"}
 IMAGES = {*PARTS, "mirrored_phasors", "radial_depth_m", "mask"}

@@ -14,11 +14,11 @@ from render_records import record_anew
 from small_disk import small_disk
 from synthetic_dataset import edit_image, write_synthetic_dataset, write_synthetic_render
 
+from disk import sha256_of
 from render.products.conversion import ExportError
 from render.products.dataset_export import export_dataset
 from scenegen import FailureRecord, open_dataset, read_record, write_failure, write_record
 from scenegen.render_folder import BadRender, write_bad_render
-from storage import sha256_of
 
 # What may be wrong with scene 000004.
 

@@ -106,7 +106,7 @@ def test_rays_that_miss_leave_the_other_pixels_as_they_are(variant, tmp_path):
 @pytest.mark.parametrize("options", [{"lights": 64}, {"lights": None}])
 @pytest.mark.parametrize("scale", [np.inf, np.nan])
 def test_an_emitter_without_a_finite_flux_is_refused(variant, tmp_path, scale, options):
-    from storage import NightError
+    from disk import NightError
 
     scene = Corner((ball(),), emitter_scale=scale).load(tmp_path)
     with pytest.raises(NightError, match="emitters"):

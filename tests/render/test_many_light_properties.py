@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from many_light_scenes import CAMERA_LOCATION_M, DIFFUSE, ball, box, expose, relative, rough_plastic
 from odd_corners import OddCorner
 
+from disk import NightError
 from itof import SPEED_OF_LIGHT, MeasurementMatrix, TransientLayout, splat_residue
 from render.transport.passes.transient_pass import LostLightError
-from storage import NightError
 
 FLIP = trimesh.transformations.reflection_matrix(CAMERA_LOCATION_M, [0, 0, 1])
 

@@ -8,6 +8,7 @@ import pytest
 from previews import grey_view
 from render_records import record_anew
 
+from disk import OutsideError
 from itof import TransientReader, read_image
 from model.data.renders import read_render
 from render.products.conversion import convert_to_itof, open_transient
@@ -16,7 +17,6 @@ from render.products.tiles import is_rendered, read_tile
 from render.products.verification import verify_scene
 from scenegen import RenderFileError, read_record, recorded_file, write_rendering_record
 from scenegen.rendering_record import RenderingRecord
-from storage import OutsideError
 
 SCENE = "000000"
 FILES = ("itof.exr", "mirrored.exr", "transient.exr", "mirrored_transient.exr")

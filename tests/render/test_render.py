@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from disk import NightError
 from itof import (
     TransientLayout,
     TransientReader,
@@ -26,7 +27,6 @@ from render.transport.method import View
 from render.transport.path_tracer import PathTracer
 from render.transport.scene_loading import load_scene
 from scenegen import Dataset, camera_axes, wall_normal
-from storage import NightError
 
 WIDTH, HEIGHT = 32, 24
 CAMERA = {"width": WIDTH, "height": HEIGHT}

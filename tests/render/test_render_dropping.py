@@ -12,11 +12,11 @@ from kill_points import names
 from night_commands import refusal, words
 from render_runs import results
 
+from disk.byte_size import size
 from render.products.conversion import ExportError
 from render.products.transient_deletion import delete_transients, transient_bytes
 from render.products.verification import verify_scene
 from scenegen import open_dataset, read_record
-from storage.byte_size import size
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pytest
 from night_commands import night_here, refusal
 from render_runs import SETTINGS, results
 
+from disk import NightError
 from itof import read_image
 from render.rendering import Renderer
 from render.settings import RenderSettings
 from scenegen import open_dataset, read_record
 from scenegen.scene_folder import folder_digest
-from storage import NightError
 
 ONLY = ("--only", "000002")
 HOSTILE = """<scene version="3.0.0">

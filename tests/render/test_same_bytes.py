@@ -19,13 +19,13 @@ import pytest
 from night_commands import PRESET, night
 from render_runs import SETTINGS
 
+from disk import sha256_of
 from itof import read_image
 from render.backend import select_variant
 from render.options import ManyLightOptions, PathOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
 from scenegen import open_dataset
-from storage import sha256_of
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 HASHES, REFERENCE = GOLDEN / "scenes.json", GOLDEN / "reference.npz"

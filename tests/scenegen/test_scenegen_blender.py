@@ -11,9 +11,9 @@ import pytest
 import trimesh
 from scene_folders import contents, of_seed_5
 
+from disk.partials import HOST
 from scenegen import DatasetError, camera_axes, sample_scene, scene_id, wall_normal
 from scenegen.making.generation import generate
-from storage.partials import HOST
 
 
 def with_object(scene, **changes):

@@ -5,13 +5,13 @@ import pytest
 import trimesh
 from night_commands import refusal
 
+from disk import PresetError
 from itof import unambiguous_range_m
 from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
 from scenegen.making.depth_range import largest_mirrored_depth_m, refuse_wrapping_depths
 from scenegen.making.meshes import read_meshes
 from scenegen.pose import rotation_matrix, wall_normal
 from scenegen.shapes import PRIMITIVES
-from storage import PresetError
 
 
 def at(*frequencies_hz, **sections):

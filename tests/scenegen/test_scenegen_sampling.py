@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from disk import PresetError
 from scenegen import (
     Preset,
     SamplingError,
@@ -17,7 +18,6 @@ from scenegen import (
     scene_from_json,
     scene_to_json,
 )
-from storage import PresetError
 
 
 @pytest.fixture(scope="module")

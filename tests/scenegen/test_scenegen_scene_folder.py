@@ -8,6 +8,7 @@ import shutil
 import pytest
 from scene_folders import of_seed_5
 
+from disk import ContractError, NightError
 from scenegen import sample_scene, scene_to_json
 from scenegen.making.generation import generate
 from scenegen.scene_folder import (
@@ -19,7 +20,6 @@ from scenegen.scene_folder import (
     read_scene_folder,
     scene_of,
 )
-from storage import ContractError, NightError
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from storage import remove_leftovers, whole_folder, whole_writing, write_text
+from disk import remove_leftovers, whole_folder, whole_writing, write_text
 
 # The calls that may change the disk or a lock.
 CALLS = ("mkdir", "openat", "write", "fsync", "rename", "renameat2", "unlink", "unlinkat", "rmdir", "flock")

@@ -2,8 +2,8 @@
 
 import dataclasses
 
+from disk import sha256_of
 from scenegen import FileRecord, RenderRecord, read_record, write_record
-from storage import sha256_of
 
 NEW = RenderRecord(recipe="{}", attributes={}, files={})
 

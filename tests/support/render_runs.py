@@ -9,8 +9,8 @@ import psutil
 import pytest
 from night_commands import words
 
+from disk import sha256_of
 from scenegen import open_dataset
-from storage import sha256_of
 
 SETTINGS = ["--error", "0.05", "--device", "cpu"]  # of the shared renders (tests/conftest.py)
 

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("storage", "processes", "scenegen", "itof", "render", "model", "commandline", "cli", "night_nlos")
+ROOMS = ("disk", "processes", "scenegen", "itof", "render", "model", "commandline", "cli", "night_nlos")
 
 
 @dataclass(frozen=True)

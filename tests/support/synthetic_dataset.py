@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import write_text
 from itof import (
     direct_phasors,
     phase_per_metre,
@@ -34,7 +35,6 @@ from scenegen import (
     wall_normal,
     write_index,
 )
-from storage import write_text
 
 DISC_RADIUS_M = 0.3
 HIDDEN_FRACTION = 2e-3  # docs/science/design.md, Hidden signal is small

@@ -11,6 +11,7 @@ from night_commands import refusal
 from scipy.io import savemat
 from wall_measurements import wall_of_plane
 
+from disk import sha256_of
 from itof.capture.check_figure import check_figure
 from itof.capture.checking import check_capture
 from itof.capture.importing import import_capture
@@ -19,7 +20,6 @@ from itof.capture.record import read_import_record, record_path
 from itof.capture.sidecar import CaptureError
 from itof.files.array_claims import RefusedError
 from itof.files.measurement_child import read_arrays
-from storage import sha256_of
 
 PHASOR = wall_of_plane().direct
 RAW = taps_of(PHASOR, steps(4), steps(2))[None]
@@ -163,7 +163,7 @@ def with_h5(path, arrays):
 def test_arrays_of_a_file_may_not_claim_too_much_together(tmp_path, monkeypatch, ending, write):
     path, names = tmp_path / f"m.{ending}", tuple("abc")
     write(path, {name: np.full((10, 1000), 0.5) for name in names})
-    monkeypatch.setattr("storage.machine_memory.machine_bytes", lambda: 8 * 80_000)  # a quarter is two arrays
+    monkeypatch.setattr("disk.machine_memory.machine_bytes", lambda: 8 * 80_000)  # a quarter is two arrays
     assert set(read_arrays(path, ("a", "b"))[0]) == {"a", "b"}
     assert set(read_arrays(path, ("a", "b", "a"))[0]) == {"a", "b"}  # read once
     words = r"c of shape \(10, 1000\) with the arrays before it claims 234 KiB of memory"
@@ -178,7 +178,7 @@ def test_files_of_a_capture_may_not_claim_too_much_together(tmp_path, monkeypatc
     sidecar = sidecar_of(
         tmp_path, IMAGES, layout="phasors", frequencies_hz=[20e6], axes=["frame", "row", "column"]
     )
-    monkeypatch.setattr("storage.machine_memory.machine_bytes", lambda: 8 * 80_000)
+    monkeypatch.setattr("disk.machine_memory.machine_bytes", lambda: 8 * 80_000)
     assert read_frames(files[:2], sidecar, tmp_path).values.shape == (2, 1, 1, 1, 10, 1000)
     with pytest.raises(CaptureError, match=r"2\.npz: raw of shape \(1, 10, 1000\) with the arrays before it"):
         read_frames(files, sidecar, tmp_path)

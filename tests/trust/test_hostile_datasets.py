@@ -7,9 +7,9 @@ import pytest
 from night_commands import TRAINING, night_here, refusal
 from scene_folders import contents
 
+from disk import NightError
 from itof.capture.sidecar_files import load_sidecar
 from model.settings.presets import training_preset
-from storage import NightError
 
 DEVICE = ("--device", "cpu")
 COMMANDS = {

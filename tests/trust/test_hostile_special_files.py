@@ -7,6 +7,7 @@ import pytest
 from night_commands import refusal
 
 from commandline.results import tell
+from disk.plain_file import read_plain
 from model.judging.exposures.results import files_of_exposures
 from model.judging.report_files import files_of_report
 from model.prediction.prediction_files import files_of_prediction
@@ -18,7 +19,6 @@ from render.farm.inventory import Inventory
 from render.settings import settings_for
 from scenegen import open_dataset, read_rendering_record
 from scenegen.scene_folder import SceneFolderError, read_scene_folder
-from storage.plain_file import read_plain
 
 
 def pipe_at(path):

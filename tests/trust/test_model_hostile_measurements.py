@@ -71,7 +71,7 @@ def test_an_archive_that_expands_to_more_than_the_memory_is_refused(tmp_path, mo
     write_raw_npz(tmp_path / "bomb.npz", {"shape": (400, 600, 3)}, zeros)
     assert (tmp_path / "bomb.npz").stat().st_size < len(zeros) / 500
     assert read_here(tmp_path / "bomb.npz").phasors.shape == (1, 400, 600, 3)
-    monkeypatch.setattr("storage.machine_memory.machine_bytes", lambda: 3 * len(zeros))
+    monkeypatch.setattr("disk.machine_memory.machine_bytes", lambda: 3 * len(zeros))
     words = r"claims 5\.49 MiB of memory, and this machine has 16\.5 MiB \(at most 25% of it may be claimed\)"
     with pytest.raises(RefusedError, match=words):  # two processes have a copy each
         read_here(tmp_path / "bomb.npz")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from synthetic_dataset import write_synthetic_dataset
 
+from disk import sha256_of
 from model.data.renders import ShardError
 from model.data.shards import open_shards
-from storage import sha256_of
 
 HUGE = (10**6, 1000, 3000)  # 10.9 TiB of float32
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from kill_points import KINDS, contents, names, strace, system_calls
 
-from storage import whole_file, whole_folder
+from disk import whole_file, whole_folder
 
 IN_TWO_STEPS = "folder in two steps"
 CAMPAIGN = """

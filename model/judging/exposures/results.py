@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from disk import whole_file, write_text
+from disk.own_files import MOST_RECORD_BYTES, hashes_of
+from disk.plain_file import read_plain
 from itof.sensor.settings import SensorSettings
 from model.network.metrics import NUMBERS, Summary, summary_cells
-from storage import whole_file, write_text
-from storage.own_files import MOST_RECORD_BYTES, hashes_of
-from storage.plain_file import read_plain
 
 EXPOSURE_SCHEMA = 1
 RESULT_FILE, TABLE_FILE, FIGURE_FILE = "exposures.json", "exposures.csv", "exposures.png"

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from disk import PathLike, whole_folder
+from disk.own_files import refuse_other_files
 from itof import ImageFileError, read_image
 from itof.sensor.imperfections import cameras_by_imperfection
 from itof.sensor.scene_camera import MeasuredScene, SceneCamera
@@ -33,8 +35,6 @@ from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import MEASUREMENT_FILE, Dataset, Split
-from storage import PathLike, whole_folder
-from storage.own_files import refuse_other_files
 
 _STREAM = 0xE890  # of the noise, apart from those of other random numbers
 _NEEDED = "a camera needs the direct and the hidden light that night-render writes"

@@ -16,6 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from disk import data_folder, write_text
 from itof.pictures.figures import write_figure
 from model.judging.calibration import Calibration
 from model.judging.report.chart_png import chart_figure
@@ -38,7 +39,6 @@ from model.judging.report_files import GROUP_HEAD, SUMMARY_HEAD, group_texts, su
 from model.judging.results import PAPER, Report
 from model.judging.showcase import ShownScene
 from model.run_folder.run_config import RunConfig
-from storage import data_folder, write_text
 
 TEMPLATE = "page.html.jinja"
 PACKAGES = ("night-nlos", "torch", "numpy", "plotly")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from storage import NightError
+from disk import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

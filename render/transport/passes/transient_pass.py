@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from disk import NightError
 from render.transport.film.lattice import Lattice
 from render.transport.film.pixels import LANES, Grid, PixelRule, gauss_rule
 from render.transport.lights.hidden_surface import sobol_points
@@ -23,7 +24,6 @@ from render.transport.passes.direct_pass import DirectImage, direct_lanes, sampl
 from render.transport.passes.gather_pass import carrier_path_m, carrier_paths
 from render.transport.passes.hidden_curves import make_curves
 from render.transport.passes.hidden_pass import ChosenPoints, HiddenField, choose_points
-from storage import NightError
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -16,7 +16,7 @@ from jobs import GEN, JUDGE, RENDER, TRAIN, Stage
 from night_commands import night, words
 from render_runs import SETTINGS, results, start_render, workers_of
 
-MODULES = ("cli", "commandline", "storage", "processes", "scenegen", "itof", "render", "model")
+MODULES = ("cli", "commandline", "disk", "processes", "scenegen", "itof", "render", "model")
 pytestmark = pytest.mark.thorough
 COMMANDS = ("night-gen", "night-render", "night-train", "night-eval")
 RENDER_HERE = replace(RENDER, command="night-render data --again failed --workers 1 --device cpu")

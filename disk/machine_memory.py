@@ -10,7 +10,7 @@ import os
 from functools import cache
 from pathlib import Path, PurePosixPath
 
-from storage.byte_size import binary_size
+from disk.byte_size import binary_size
 
 LARGEST_PART = 0.5  # of the machine's memory that the arrays of one file may take
 _GROUPS = Path("/sys/fs/cgroup")

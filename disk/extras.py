@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from storage.night_error import NightError
+from disk.night_error import NightError
 
 
 class MissingPackageError(NightError):

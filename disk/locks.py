@@ -11,7 +11,7 @@ import stat
 from errno import EACCES, EAGAIN, ELOOP, ENOLCK, ENOSYS, ENOTSUP
 from pathlib import Path
 
-from storage.night_error import NightError
+from disk.night_error import NightError
 
 _NO_LOCKS = (ENOLCK, ENOSYS, ENOTSUP)  # ENOSYS: Lustre without the option flock
 

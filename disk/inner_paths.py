@@ -6,8 +6,8 @@ import os
 import stat
 from pathlib import Path
 
-from storage.night_error import NightError
-from storage.path_like import PathLike
+from disk.night_error import NightError
+from disk.path_like import PathLike
 
 
 class OutsideError(NightError):

@@ -15,11 +15,11 @@ from measurements import assert_same
 from night_commands import night
 from scene_folders import contents
 
+import disk
 import itof
 import model
 import render
 import scenegen
-import storage
 
 PACKAGES = ("scenegen", "itof", "render", "model")
 # A dataset is made by `open_dataset` and `make_dataset`; its `root` is always a Path.
@@ -71,10 +71,10 @@ def test_scenes_and_records_are_found_by_text(transient_dataset, tmp_path):
     assert scenegen.open_dataset(root) == transient_dataset
     assert scenegen.read_record(folder) == scenegen.read_record(transient_dataset.render_folder("000000"))
     assert scenegen.read_failure(folder) is None
-    assert storage.inside(root, "scenes") == transient_dataset.root / "scenes"
-    hashes, file = storage.FileHashes(folder), f"{folder}/itof.exr"
-    hashes.learn(file, storage.sha256_of(file))
-    assert hashes.sha256(file) == storage.sha256_of(file)
+    assert disk.inside(root, "scenes") == transient_dataset.root / "scenes"
+    hashes, file = disk.FileHashes(folder), f"{folder}/itof.exr"
+    hashes.learn(file, disk.sha256_of(file))
+    assert hashes.sha256(file) == disk.sha256_of(file)
     new, failure = str(tmp_path / "new"), scenegen.FailureRecord(recipe="r", attempts=1, reason="none")
     scenegen.write_failure(new, failure, "log")
     assert scenegen.read_failure(new) == failure

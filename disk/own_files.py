@@ -8,9 +8,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from storage.file_hashes import sha256_of
-from storage.night_error import NightError
-from storage.partials import remove_leftovers
+from disk.file_hashes import sha256_of
+from disk.night_error import NightError
+from disk.partials import remove_leftovers
 
 MOST_RECORD_BYTES: Final = 2**28  # of the file that lists the others
 _NAMED = 3  # files that a refusal names

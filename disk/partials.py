@@ -22,8 +22,8 @@ from contextlib import contextmanager, suppress
 from errno import EACCES, EAGAIN, ENAMETOOLONG
 from pathlib import Path
 
-from storage.locks import is_same_file
-from storage.path_like import PathLike
+from disk.locks import is_same_file
+from disk.path_like import PathLike
 
 HOST = re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname())
 # Version 0.1 had no number. It wrote to the partial itself, and moved the older folder to .old.partial.

@@ -7,14 +7,14 @@ checks JSON and TOML, with the bounds of `quantities`. `machine_memory` says wha
 nothing of light or scenes, and imports no other package of NIGHT.
 """
 
-from storage.contract import ContractError
-from storage.file_hashes import FileHashes, sha256_of
-from storage.inner_paths import OutsideError, inside
-from storage.night_error import NightError
-from storage.partials import is_partial, remove_leftovers
-from storage.path_like import PathLike
-from storage.preset_files import PresetError, data_folder, read_settings, shipped_file
-from storage.whole_writing import whole_file, whole_files, whole_folder, write_text
+from disk.contract import ContractError
+from disk.file_hashes import FileHashes, sha256_of
+from disk.inner_paths import OutsideError, inside
+from disk.night_error import NightError
+from disk.partials import is_partial, remove_leftovers
+from disk.path_like import PathLike
+from disk.preset_files import PresetError, data_folder, read_settings, shipped_file
+from disk.whole_writing import whole_file, whole_files, whole_folder, write_text
 
 __all__ = [
     "ContractError",

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 from kill_points import FOLDERS, contents, names, write_folder
 
-import storage
-from storage import is_partial, remove_leftovers, whole_file, whole_folder, write_text
-from storage.partials import HOST
+import disk
+from disk import is_partial, remove_leftovers, whole_file, whole_folder, write_text
+from disk.partials import HOST
 
 OLD, NEW = FOLDERS
 KILLED = """
 import os, sys
 from pathlib import Path
-from storage import whole_{kind}
+from disk import whole_{kind}
 with whole_{kind}(Path(sys.argv[1])) as partial:
     (partial / "a" if partial.is_dir() else partial).write_text("half")
     os._exit(9)
@@ -205,7 +205,7 @@ def test_a_name_that_another_process_takes_between_two_steps_is_taken_back(tmp_p
         return rename(self, target)
 
     write_folder(path, OLD)
-    monkeypatch.setattr("storage.whole_writing.exchange", lambda *_: False)
+    monkeypatch.setattr("disk.whole_writing.exchange", lambda *_: False)
     monkeypatch.setattr("pathlib.Path.rename", racing)
     write_folder(path, NEW)
     assert taken
@@ -287,7 +287,7 @@ def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path):
     seen = []
 
     def write(fail):
-        with storage.whole_files(tmp_path, before=lambda: seen.append((tmp_path / "a").read_text())) as stage:
+        with disk.whole_files(tmp_path, before=lambda: seen.append((tmp_path / "a").read_text())) as stage:
             for name in ("a", "b"):
                 write_text(stage / name, "new")
             if fail:
@@ -304,7 +304,7 @@ def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path):
 
 def test_an_error_in_a_file_of_several_names_its_place(tmp_path):
     def write():
-        with storage.whole_files(tmp_path / "out") as stage:
+        with disk.whole_files(tmp_path / "out") as stage:
             (stage / "a").mkdir()
             write_text(stage / "a", "new")
 

@@ -8,8 +8,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from storage.night_error import NightError
-from storage.path_like import PathLike
+from disk.night_error import NightError
+from disk.path_like import PathLike
 
 
 class PresetError(NightError):

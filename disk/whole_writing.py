@@ -10,9 +10,9 @@ from contextlib import contextmanager, suppress
 from errno import EACCES, EBUSY, EDQUOT, EEXIST, EFBIG, EIO, EISDIR, ENOSPC, ENOTDIR, ENOTEMPTY, EROFS
 from pathlib import Path
 
-from storage.exchange import exchange
-from storage.partials import older, partial_folder, remove_leftovers
-from storage.path_like import PathLike
+from disk.exchange import exchange
+from disk.partials import older, partial_folder, remove_leftovers
+from disk.path_like import PathLike
 
 _WRITE_ERRORS = frozenset({ENOSPC, EDQUOT, EFBIG, EIO, EROFS})  # without a name when a write raises them
 _OCCUPIED = frozenset({ENOTEMPTY, EEXIST, ENOTDIR})  # what renaming to a name in use raises

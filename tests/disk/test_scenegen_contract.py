@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from disk import ContractError, PresetError
 from scenegen import (
     RECORD_FILE,
     DatasetError,
@@ -14,7 +15,6 @@ from scenegen import (
     scene_from_json,
     scene_id,
 )
-from storage import ContractError, PresetError
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from storage import NightError, inside
+from disk import NightError, inside
 
 
 @pytest.mark.parametrize(

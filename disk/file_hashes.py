@@ -11,9 +11,9 @@ import json
 import time
 from pathlib import Path
 
-from storage.path_like import PathLike
-from storage.plain_file import read_plain
-from storage.whole_writing import write_text
+from disk.path_like import PathLike
+from disk.plain_file import read_plain
+from disk.whole_writing import write_text
 
 HASHES_FILE = ".hashes.json"
 _MOST_BYTES = 2**30

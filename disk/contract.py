@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, from_json
 
-from storage.night_error import NightError
+from disk.night_error import NightError
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 DOCUMENTED = ConfigDict(**STRICT, use_attribute_docstrings=True)  # the text below a field describes it
