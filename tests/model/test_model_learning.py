@@ -25,7 +25,8 @@ def best_constant_loss(dataset, loss) -> float:
     """Loss on the training scenes of the best output that is the same in all pixels of all scenes."""
     shards = open_shards(dataset)
     block = shards.read(shards.rows("train"))
-    truth = [torch.from_numpy(array) for array in (block.target, block.radial_depth_m, block.mask)]
+    target = np.stack([block.target.real, block.target.imag], axis=1)  # (N, 2, H, W)
+    truth = [torch.from_numpy(array) for array in (target, block.radial_depth_m, block.mask)]
     outputs = [
         torch.tensor([z.real, z.imag], dtype=torch.float32)[:, None, None].expand(truth[0].shape)
         for amplitude in np.linspace(0, 1, 11)
