@@ -184,6 +184,7 @@ def test_the_onnx_file_of_a_network_with_images_is_compared_with_torch_and_writt
     assert done.returncode == 0, done.stderr  # it refuses a file that computes something else
 
 
+@pytest.mark.long
 def test_fine_tuning_in_another_shape_has_the_images_of_the_new_corner(dataset, tmp_path):
     tall = write_synthetic_dataset(tmp_path / "tall", count=8, width=16, height=24)
     train(dataset, tmp_path / "run", settings(**SHOWN))
