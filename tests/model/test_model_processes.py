@@ -1,6 +1,5 @@
 """Training in several processes, and processes that get a signal to stop."""
 
-import shutil
 import signal
 import subprocess
 import time
@@ -130,17 +129,3 @@ def test_a_process_ends_as_its_signal_says_and_the_run_goes_on_to_the_same_weigh
     longer = settings(**COURSE | changes | {"max_epochs": epochs_before_the_stop(run) + 1})
     assert train(dataset, run, longer, resume=True) == train(dataset, tmp_path / "whole", longer)
     assert_same_end(run, tmp_path / "whole")
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler (Debian: g++)")
-def test_a_compiled_network_trains_as_the_plain_one(dataset, tmp_path):
-    compiled, small = (
-        tmp_path / "compiled",
-        {"max_epochs": 1, "levels": 1},
-    )  # each level takes 40 s to compile
-    assert start(dataset, compiled, compile=True, **small).wait() == 0, errors_of(compiled).read_text()
-    train(dataset, tmp_path / "plain", settings(**COURSE | small))
-    plain, fast = checkpoint(tmp_path / "plain")["network"], checkpoint(compiled)["network"]
-    for name, weight in plain.items():
-        torch.testing.assert_close(fast[name], weight, rtol=1e-3, atol=1e-5, msg=name)
