@@ -25,7 +25,7 @@ from scenegen.making.blender_shapes import (
     user_mesh,
     world_mesh,
 )
-from scenegen.making.blender_start import STDOUT, BlenderVector, BVHTree, bpy, empty_blender
+from scenegen.making.blender_start import STDOUT, bpy, empty_blender
 from scenegen.making.meshes import UserMesh
 from scenegen.mitsuba_description import EMITTER_IMAGE, emitter_pfm, hidden_names, mirrored_names
 from scenegen.mitsuba_xml import scene_files_for_mitsuba
@@ -33,8 +33,6 @@ from scenegen.scene import Scene, Wall, scene_to_json
 from scenegen.scene_folder import SCENE_FILE, WALLS
 from scenegen.shapes import PRIMITIVES, Shape
 from scenegen.wall_image import WALL_IMAGE, texture_coordinates, wall_pfm
-
-CLEARANCE_M = 1e-3  # objects keep this distance to the relay wall, so that no ray starts inside it
 
 
 class BlenderMaker:
@@ -49,38 +47,15 @@ class BlenderMaker:
 
     def __init__(self, meshes: Mapping[Shape, UserMesh] = MappingProxyType({})) -> None:
         empty_blender()
+        self.meshes = meshes
         self._shapes = {shape: primitive(shape) for shape in PRIMITIVES}
         self._shapes |= {shape: user_mesh(mesh) for shape, mesh in meshes.items()}
-        self._outermost = {shape: mesh.outermost.tolist() for shape, mesh in meshes.items()}
         self._square = unit_square()
 
     @property
     def version(self) -> str:
         """Version of Blender."""
         return str(bpy.app.version_string)
-
-    def refusal(self, scene: Scene) -> str | None:
-        """Why a scene is impossible, or None: an object reaches through a wall, or the camera could see it.
-
-        The region that the middle wall hides from the camera is convex. An object is therefore hidden as a
-        whole when its vertices are; for a user's mesh the vertices of its convex hull are enough.
-        """
-        with self._built(scene) as objects:
-            camera = objects["camera"].matrix_world.translation
-            relay = objects["relay_wall"].matrix_world
-            facing, point = relay.to_3x3() @ BlenderVector((0, 0, 1)), relay.translation
-            middle = world_mesh(objects["middle_wall"])
-            blocker = BVHTree.FromPolygons([tuple(v.co) for v in middle.vertices], [[0, 1, 3, 2]])
-            for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
-                vertices = world_mesh(objects[name]).vertices
-                for index in self._outermost.get(part.shape, range(len(vertices))):
-                    vertex = vertices[index]
-                    if (vertex.co - point).dot(facing) < CLEARANCE_M:
-                        return f"{name} reaches through the relay wall"
-                    ray = vertex.co - camera
-                    if blocker.ray_cast(camera, ray.normalized(), ray.length)[0] is None:
-                        return f"{name} shows beside the middle wall"
-        return None
 
     def files(self, scene: Scene) -> dict[str, bytes]:
         """``scene.json``, ``scene.xml``, ``mirrored.xml``, the meshes and the projector's image, by name."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scenegen.making.blender_start import BlenderVector, Matrix, bmesh, bpy
 from scenegen.making.meshes import UserMesh
 from scenegen.shapes import Shape
+from scenegen.unit_meshes import ARC_SEGMENTS, concave_arc
 
 SQUARE_CORNERS = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))  # of `unit_square`, in its order
-_ARC_SEGMENTS = 64  # around every round primitive: a chord leaves a 0.28 m circle by 0.34 mm
 
 
 def primitive(shape: Shape) -> bpy.types.Mesh:
@@ -116,7 +116,7 @@ def _build_frustum(working: bmesh.types.BMesh, top_radius: float) -> None:
         working,
         cap_ends=True,
         cap_tris=True,
-        segments=_ARC_SEGMENTS,
+        segments=ARC_SEGMENTS,
         radius1=0.5,
         radius2=top_radius,
         depth=1.0,
@@ -124,18 +124,16 @@ def _build_frustum(working: bmesh.types.BMesh, top_radius: float) -> None:
 
 
 def _build_sphere(working: bmesh.types.BMesh) -> None:
-    half_turn = _ARC_SEGMENTS // 2
-    bmesh.ops.create_uvsphere(working, u_segments=_ARC_SEGMENTS, v_segments=half_turn, radius=0.5)
+    half_turn = ARC_SEGMENTS // 2
+    bmesh.ops.create_uvsphere(working, u_segments=ARC_SEGMENTS, v_segments=half_turn, radius=0.5)
 
 
 def _build_concave_plane(working: bmesh.types.BMesh) -> None:
     """An open sheet bent to an arc of ±1 rad about z, concave on its +x side."""
-    bmesh.ops.create_grid(working, x_segments=_ARC_SEGMENTS, y_segments=1, size=1.0)
+    bmesh.ops.create_grid(working, x_segments=ARC_SEGMENTS, y_segments=1, size=1.0)
     for vertex in working.verts:
         angle, height = float(vertex.co.x), float(vertex.co.y)
-        sagitta = (1 - np.cos(angle)) / (1 - np.cos(1.0))
-        chord = np.sin(angle) / np.sin(1.0)
-        vertex.co = (sagitta - 0.5, 0.5 * chord, 0.5 * height)
+        vertex.co = (*concave_arc(angle), 0.5 * height)
 
 
 _BUILDERS: dict[Shape, Callable[[bmesh.types.BMesh], None]] = {

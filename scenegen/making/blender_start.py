@@ -40,9 +40,8 @@ with silenced(STDOUT):  # bpy makes these modules available
     import bmesh
     from mathutils import Matrix
     from mathutils import Vector as BlenderVector
-    from mathutils.bvhtree import BVHTree
 
-__all__ = ["STDERR", "STDOUT", "BVHTree", "BlenderVector", "Matrix", "bmesh", "bpy", "empty_blender"]
+__all__ = ["STDERR", "STDOUT", "BlenderVector", "Matrix", "bmesh", "bpy", "empty_blender"]
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -10,10 +11,13 @@ from typing import Protocol
 from disk.inner_paths import inside
 from disk.whole_writing import whole_folder
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
+from scenegen.geometry_check import refusal
 from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
 from scenegen.preset import Preset
 from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene
+from scenegen.shapes import Shape
+from scenegen.unit_meshes import UnitMesh
 
 
 class Maker(Protocol):
@@ -23,8 +27,9 @@ class Maker(Protocol):
     def version(self) -> str:
         """Version of the program that makes the meshes."""
 
-    def refusal(self, scene: Scene) -> str | None:
-        """Why the scene is impossible; None for a possible one."""
+    @property
+    def meshes(self) -> Mapping[Shape, UnitMesh]:
+        """The mesh files that the scenes' shapes name, by shape."""
 
     def files(self, scene: Scene) -> dict[str, bytes]:
         """Names and contents of the scene's files."""
@@ -94,7 +99,7 @@ def write_scene(root: Path, preset: Preset, index: int, maker: Maker) -> SceneEn
     ------
     DatasetError : the folder has a file that no scene of this kind has.
     """
-    scene = sample_valid_scene(preset, index, maker.refusal)
+    scene = sample_valid_scene(preset, index, functools.partial(refusal, meshes=maker.meshes))
     files = maker.files(scene)
     folder = inside(root, "scenes", scene.id)
     if not _holds(folder, files):

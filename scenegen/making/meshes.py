@@ -14,6 +14,7 @@ from disk.inner_paths import inside
 from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.triangles import MeshError, read_triangles
+from scenegen.unit_meshes import UnitMesh
 
 FORMATS = ("ply", "stl", "obj", "off", "glb")  # trimesh also reads archives, which unpack to any size
 MAX_FILE_BYTES = 2**30  # two million triangles as text take about half of it
@@ -21,8 +22,8 @@ _EXTENT_RANGE = (1e-30, 1e30)  # float64 holds the squares and products of such 
 _FLOAT32_STEP = float(np.finfo(np.float32).eps)  # accuracy of coordinates in the unit box
 
 
-@dataclass(frozen=True)
-class UserMesh:
+@dataclass(frozen=True, eq=False)
+class UserMesh(UnitMesh):
     """Triangles of a mesh file, centred and scaled.
 
     Attributes
@@ -35,15 +36,12 @@ class UserMesh:
     sha256 : hash of the file's bytes.
     """
 
-    vertices: NDArray[np.float32]
-    triangles: NDArray[np.int32]
-    outermost: NDArray[np.int64]
     sha256: str
 
     @property
     def radius(self) -> float:
         """Largest distance of a vertex from the origin; 1/2 to √3/2."""
-        return float(np.linalg.norm(self.vertices[self.outermost].astype(np.float64), axis=1).max())
+        return float(np.linalg.norm(self.hull, axis=1).max())
 
 
 def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:

@@ -12,6 +12,7 @@ from render.products.geometry import traced_depth_m
 from render.transport.mirrored import trace_ground_truth
 from render.transport.scene_loading import load_scene, scene_from_data
 from scenegen import camera_axes, open_dataset, sample_valid_scene
+from scenegen.geometry_check import refusal
 from scenegen.mitsuba_description import mirrored_description
 from scenegen.scene_folder import differences
 
@@ -111,7 +112,7 @@ def test_the_papers_truth_shows_parts_that_a_mirror_would_hide_in_16_percent_of_
 ):
     found = []
     for index in range(300):
-        scene = sample_valid_scene(paper, index, maker.refusal)
+        scene = sample_valid_scene(paper, index, refusal)
         mirror = dataclasses.replace(scene, mirror_occluders=True)
         files = maker.files(mirror)
         mirrored = (scene_from_data(mirrored_description(one), files, tmp_path) for one in (scene, mirror))

@@ -1,6 +1,5 @@
 """What Blender makes of a scene: shapes, places, mirrors, and the same bytes every time."""
 
-import dataclasses
 import json
 import shutil
 import subprocess
@@ -9,25 +8,16 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from scene_folders import contents, of_seed_5
+from scene_folders import contents, of_seed_5, upright_cube, with_object
 
 from disk.partials import HOST
-from scenegen import DatasetError, camera_axes, sample_scene, scene_id, wall_normal
+from scenegen import DatasetError, camera_axes, scene_id, wall_normal
 from scenegen.making.generation import generate
 
 
-def with_object(scene, **changes):
-    return dataclasses.replace(
-        scene, hidden_objects=(dataclasses.replace(scene.hidden_objects[0], **changes),)
-    )
-
-
 @pytest.fixture(scope="module")
-def upright(paper):
-    """A cube in the middle of its range, not turned."""
-    scene = sample_scene(paper, 0)
-    assert scene.object_class == "cube"
-    return with_object(scene, location_m=(1.15, 0.9, 1.6), rotation_deg=(0.0, 0.0, 0.0))
+def upright():
+    return upright_cube()
 
 
 @pytest.fixture
@@ -110,36 +100,6 @@ def test_the_camera_of_the_paper_looks_along_minus_sin_50_cos_50(upright):
     np.testing.assert_allclose(np.cross(right, down), forward, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("location_m", "reason"),
-    [
-        ((0.2, 0.9, 1.6), "through the relay wall"),
-        ((1.15, 0.2, 1.6), "beside the middle wall"),  # reaches through it
-        ((0.5, 0.4, 1.6), "beside the middle wall"),
-        ((1.15, -0.7, 1.6), "beside the middle wall"),  # on the camera's side
-        ((1.15, 0.9, 7.0), "beside the middle wall"),  # looks over its top
-    ],
-)
-def test_an_object_that_could_be_seen_or_meets_a_wall_is_refused(maker, upright, location_m, reason):
-    assert reason in maker.refusal(with_object(upright, location_m=location_m))
-
-
-def test_an_object_behind_the_middle_wall_is_accepted(maker, upright):
-    assert maker.refusal(upright) is None
-
-
-def test_blenders_check_agrees_with_the_shadow_of_the_wall_computed_by_hand(maker, upright):
-    # A point (x, y) behind the wall is hidden when its sight line meets y = 0 at x in [0.7, 4].
-    rng = np.random.default_rng(2)
-    camera = np.array([1.0, -1.0])
-    for _ in range(200):
-        x, y = rng.uniform([0.05, 0.05], [2.0, 1.5])
-        small = with_object(upright, location_m=(x, y, 1.6), size_m=(1e-4, 1e-4, 1e-4))
-        crossing = camera[0] + (x - camera[0]) * -camera[1] / (y - camera[1])
-        if abs(crossing - 0.7) > 1e-3:
-            assert (maker.refusal(small) is None) == (crossing > 0.7)
-
-
 def test_same_seed_same_bytes_and_interrupted_work_goes_on(maker, tmp_path):
     preset = of_seed_5(8)
     generate(tmp_path / "whole", preset, maker, lambda: None)
@@ -202,12 +162,13 @@ MEMORY = """
 import os, sys
 from pathlib import Path
 from scenegen import preset_from_dict, sample_valid_scene
+from scenegen.geometry_check import refusal
 from scenegen.making.blender import BlenderMaker
 
 preset, maker, made_bytes = preset_from_dict({}, "paper"), BlenderMaker(), 0
 warm, last = int(sys.argv[1]), int(sys.argv[2])
 for index in range(last + 1):
-    scene = sample_valid_scene(preset, index, maker.refusal)
+    scene = sample_valid_scene(preset, index, refusal)
     made_bytes += sum(len(contents) for contents in maker.files(scene).values()) * (index > warm)
     if index in (warm, last):
         print(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))

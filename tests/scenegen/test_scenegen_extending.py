@@ -193,19 +193,17 @@ def test_two_processes_do_not_make_scenes_in_one_folder(maker, tmp_path):
     assert sorted(entry.name for entry in made.root.iterdir()) == ["dataset.json", "scenes"]
 
 
-def test_a_refused_preset_leaves_no_folder(tmp_path):
-    class NoRoom:
-        version = "1"
-
-        def refusal(self, scene):
-            return "too big"
+def test_a_refused_preset_leaves_no_folder(maker, tmp_path):
+    in_the_wall = {"location_m": {"x": [0, 0]}}
 
     with pytest.raises(SamplingError):
-        generate(tmp_path / "data" / "in" / "here", of_seed_5(1), NoRoom(), lambda: None)
+        generate(
+            tmp_path / "data" / "in" / "here", of_seed_5(1, hidden_object=in_the_wall), maker, lambda: None
+        )
     assert not (tmp_path / "data").exists()
     (tmp_path / "data").mkdir()  # the user's own
     with pytest.raises(SamplingError):
-        generate(tmp_path / "data", of_seed_5(1), NoRoom(), lambda: None)
+        generate(tmp_path / "data", of_seed_5(1, hidden_object=in_the_wall), maker, lambda: None)
     assert (tmp_path / "data").is_dir()
 
 
