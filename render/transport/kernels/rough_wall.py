@@ -41,7 +41,7 @@ def register_rough_wall(variant: str) -> str:
             super().__init__(properties)
             alpha = float(properties["alpha"])
             self.base = properties.get_texture("diffuse_reflectance", 0.5)
-            transmittance, internal = _tables(variant, alpha)
+            transmittance, internal = surface_tables(variant, alpha)
             # opaque, because literals would compile all kernels again for another roughness
             self.alpha = dr.opaque(mi.Float, alpha)
             self.transmittance = mi.Float(transmittance)
@@ -115,7 +115,7 @@ def register_rough_wall(variant: str) -> str:
 
 
 @cache
-def _tables(variant: str, alpha: float) -> tuple[np.ndarray, float]:
+def surface_tables(variant: str, alpha: float) -> tuple[np.ndarray, float]:
     """What passes the facets from outside, (C,) by cosine, and what they send back of the base's light.
 
     Mitsuba adds up the first in float32. Its light therefore differs by 1e-6, up to 0.1 % of the hidden

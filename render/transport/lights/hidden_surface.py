@@ -84,18 +84,27 @@ def read_hidden_surface(scene: mi.Scene) -> HiddenSurface | None:
     parts = [_triangles(shape) for shape in hidden_shapes(scene)]
     if not parts:
         return None
-    corners = np.concatenate([part[0] for part in parts])
     reflectance = np.concatenate([part[1] for part in parts])
+    part = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
+    return triangle_surface(np.concatenate([part[0] for part in parts]), reflectance, part)
+
+
+def triangle_surface(
+    corners: NDArray[np.float64],
+    reflectance: NDArray[np.float64] | None = None,
+    part: NDArray[np.int64] | None = None,
+) -> HiddenSurface:
+    """Triangles (T, 3, 3) in the order of the curve, `part` (T,) by part; those without area are left out."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     parallelogram = np.linalg.norm(cross, axis=1)  # twice the area of the triangle
     keep = np.flatnonzero(parallelogram > 0)
-    part = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
-    order = keep[np.lexsort((_curve_position(corners[keep].mean(axis=1)), part[keep]))]
+    along = _curve_position(corners[keep].mean(axis=1))
+    order = keep[np.argsort(along, kind="stable") if part is None else np.lexsort((along, part[keep]))]
     return HiddenSurface(
         corners[order],
         cross[order] / parallelogram[order, None],
         parallelogram[order] / 2,
-        reflectance[order],
+        np.ones(len(order)) if reflectance is None else reflectance[order],
     )
 
 

@@ -1,0 +1,231 @@
+"""The hidden light of many scenes over their direct light, with an error that is asked for and kept.
+
+A point w of the wall in direction r gets the flux Φ of its part of the projector's film and sends irradiance
+to a point s of a hidden surface with the area A and the reflectance R. It lights every wall point x of the
+image:
+
+    E_f(s) = sum_w Φ_w f(r_w, s - w) cos_w cos_s / |s - w|² exp(j k_f (t_w + |s - w|))
+    hidden_f(x) = sum_s R A_s / π E_f(s) f(s - x, r_x) cos_x cos_s / |s - x|² exp(j k_f (|s - x| + t_x))
+
+over the direct light f(r_x, r_x) cos_x Φ / t_x², with visibility as 0 or 1. The ratio is computed at the
+nodes of a Chebyshev lattice over the part of the image that shows the relay wall; polynomials carry it to the
+pixels.
+
+Two sets of nodes give the error. The sums are compared, at a dozen nodes, with sums over half the surface
+points and twice the film points. The last third of the coefficients of the polynomials tells what the lattice
+lacks. A scene whose error is too large gets more of the nodes that it lacks.
+
+Source: the estimator of docs/science/renderer.md, with fixed nodes in place of random ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.batch.corners import chebyshev, interpolation
+from render.batch.quadrature import (
+    FILM,
+    Ints,
+    Nodes,
+    few_places,
+    film_nodes,
+    finer_lattice,
+    lattice_nodes,
+    lattice_sizes,
+    surface_nodes,
+)
+from render.batch.tables import Scenes
+from scenegen.scene import Scene
+from scenegen.shapes import PRIMITIVES, Shape
+from scenegen.unit_meshes import UnitMesh
+
+Floats = NDArray[np.float64]
+Ratios = NDArray[np.complex128]
+_COARSER: Final = 0.8  # error of the sums over their difference to those of the other nodes
+_TAIL: Final = 0.9  # error of the lattice over the norm of the last third of its coefficients
+_LEAST: Final = 0.2  # of the wanted error: what the estimate is at least
+_FIRST_ERROR: Final = 0.04  # for which the points begin with these levels:
+_CONVEX, _SHEET_OR_MESH, _SEVERAL = 1, 2, 2
+_FINEST: Final = 8  # level of the surface points
+_MOST_PASSES: Final = 8
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Levels of surface and film points (n,), and sizes of the lattices (n, 2), of some scenes."""
+
+    surface: Ints
+    film: Ints
+    lattice: Ints
+
+    @classmethod
+    def first(cls, scenes: Scenes, error: float) -> _Effort:
+        """Where the search for an error begins."""
+        steps = int(np.ceil(np.log2(max(_FIRST_ERROR / error, 1e-3))))
+        surface = np.array([_first_level(scene) for scene in scenes.scenes]) + steps
+        film = np.full(len(surface), 1 + -(-steps // 2))
+        film = np.clip(film, 0, len(FILM) - 2)
+        return cls(np.clip(surface, 1, _FINEST), film, lattice_sizes(scenes, error))
+
+    def some(self, chosen: Ints) -> _Effort:
+        """The effort for some of the scenes."""
+        return _Effort(self.surface[chosen], self.film[chosen], self.lattice[chosen])
+
+    def more(self, chosen: Ints, points: NDArray[np.bool_], lattice: NDArray[np.bool_]) -> None:
+        """More nodes for some of the scenes."""
+        self.surface[chosen] = np.minimum(self.surface[chosen] + points, _FINEST)
+        self.film[chosen] = np.minimum(self.film[chosen] + points, len(FILM) - 2)
+        self.lattice[chosen] = finer_lattice(self.lattice[chosen], lattice[:, None].astype(float))
+
+
+@dataclass(frozen=True)
+class HiddenRatios:
+    """Computes hidden over direct light.
+
+    Attributes
+    ----------
+    meshes : unit meshes of all shapes.
+    width, height : of the images, pixels.
+    error : wanted error of the hidden light, relative to it.
+    """
+
+    meshes: Mapping[Shape, UnitMesh]
+    width: int
+    height: int
+    error: float
+
+    def of(self, scenes: Scenes) -> tuple[NDArray[np.complex64], Floats]:
+        """(N, H, W, F) hidden over direct light, and the error (N,), which may be above the wanted one."""
+        count = len(scenes.scenes)
+        effort = _Effort.first(scenes, self.error)
+        ratio = np.zeros((count, self.height, self.width, len(scenes.batch.phase_per_metre)), np.complex64)
+        error = np.zeros(count)
+        left = np.arange(count)
+        for _ in range(_MOST_PASSES):
+            tried = effort.some(left)
+            values, of_points, of_lattice = self._evaluated(scenes, left, tried)
+            error[left] = np.hypot(np.hypot(of_points, of_lattice), _LEAST * self.error)
+            self._interpolate(scenes, left, tried.lattice, values, ratio)
+            short = error[left] > self.error
+            effort.more(left[short], *_lacking(of_points[short], of_lattice[short]))
+            again = effort.some(left)
+            more = (again.surface > tried.surface) | (again.lattice > tried.lattice).any(1)
+            left = left[short & more]
+            if not len(left):
+                break
+        return ratio, error
+
+    def _evaluated(
+        self, scenes: Scenes, chosen: Ints, effort: _Effort
+    ) -> tuple[list[Ratios], Floats, Floats]:
+        """Ratios (nodes, F) at the lattices of the chosen scenes; their errors by points and by lattice."""
+        fine = self.ratios(
+            scenes, chosen, effort.surface, effort.film, lattice_nodes(scenes, chosen, effort.lattice)
+        )
+        few = lattice_nodes(scenes, chosen, effort.lattice, few=True)
+        other = self.ratios(scenes, chosen, effort.surface - 1, effort.film + 1, few)
+        of_points = np.zeros(len(chosen))
+        for place, (size, one, two) in enumerate(zip(effort.lattice.tolist(), fine, other, strict=True)):
+            there = one[few_places(*size)]
+            of_points[place] = _COARSER * _norm(there - two) / max(_norm(there), _norm(two), _TINY)
+        return fine, of_points, _TAIL * _tails(fine, effort.lattice)
+
+    def ratios(
+        self, scenes: Scenes, chosen: Ints, surface_level: Ints, film_level: Ints, seen: Nodes
+    ) -> list[Ratios]:
+        """(nodes, F) hidden over direct light at the nodes `seen` of each chosen scene."""
+        import drjit as dr
+        import mitsuba as mi
+
+        from render.batch.kernels import hidden as kernels
+        from render.transport.kernels.arrays import upload, upload_indices, upload_points
+
+        film = film_nodes(scenes, chosen, film_level)
+        surface = surface_nodes(scenes, chosen, surface_level, self.meshes)
+        batch = scenes.batch
+        lit, back = (
+            kernels.wall_records(batch, upload_indices(nodes.scene), upload_points(nodes.values[:, :3]))
+            for nodes in (film, seen)
+        )
+        table, scene = upload(surface.values), upload_indices(surface.scene)
+        flux = upload(film.values[:, 3])
+        dr.eval(lit, back)
+        index = dr.arange(mi.UInt32, len(surface.scene))
+        ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (film.first, film.last)]
+        real, imaginary = kernels.irradiance(batch, scene, table, index, lit, flux, *ends)
+        sent = kernels.sent(real, imaginary, dr.gather(mi.Float, table, index * 8 + 3))
+        dr.eval(sent)
+        scene = upload_indices(seen.scene)
+        ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (surface.first, surface.last)]
+        index = dr.arange(mi.UInt32, len(seen.scene))
+        sums = kernels.over_direct(batch, scene, back, index, table, sent, *ends)
+        dr.eval(sums)
+        z = np.stack([np.array(re) + 1j * np.array(im) for re, im in zip(*sums, strict=True)], axis=-1)
+        return [z[seen.first[one] : seen.last[one]] for one in chosen]
+
+    def _interpolate(
+        self, scenes: Scenes, chosen: Ints, sizes: Ints, values: Sequence[Ratios], out: NDArray[np.complex64]
+    ) -> None:
+        """Put the ratios at the pixel centres into `out` (N, H, W, F)."""
+        for across, down in np.unique(sizes, axis=0):
+            places = np.flatnonzero((sizes == (across, down)).all(1))
+            some = chosen[places]
+            box, corners = scenes.box[some], scenes.corners.some(some)
+            edge = corners.half / corners.aspect
+            x = ((np.arange(self.width) + 0.5) / self.width * 2 - 1) * corners.half[:, None]
+            y = ((np.arange(self.height) + 0.5) / self.height * 2 - 1) * edge[:, None]
+            middle, half = box[:, ::2] + box[:, 1::2], box[:, 1::2] - box[:, ::2]
+            columns = interpolation(across, (2 * x - middle[:, :1]) / half[:, :1])  # (n, W, across)
+            rows = interpolation(down, (2 * y - middle[:, 1:]) / half[:, 1:])  # (n, H, down)
+            nodes = np.stack([values[place] for place in places]).reshape(len(some), down, -1)
+            nodes = np.matmul(rows, nodes).reshape(len(some), self.height, across, -1)
+            out[some] = np.matmul(columns[:, None], nodes)
+
+
+def _first_level(scene: Scene) -> int:
+    """Level of the surface points with which a scene begins."""
+    shapes = [part.shape for part in scene.hidden_objects]
+    if len(shapes) > 1:
+        return _SEVERAL
+    return _CONVEX if shapes[0] in PRIMITIVES and shapes[0] != "concave_plane" else _SHEET_OR_MESH
+
+
+def _lacking(of_points: Floats, of_lattice: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which scenes lack points, and which lack nodes of the lattice: those whose error counts."""
+    return of_points > 0.5 * of_lattice, of_lattice > 0.5 * of_points
+
+
+_TINY: Final = float(np.finfo(np.float32).tiny)
+
+
+def _norm(values: Ratios) -> float:
+    return float(np.linalg.norm(values))
+
+
+def _tails(values: Sequence[Ratios], sizes: Ints) -> Floats:
+    """(n,) norm of the last third of the coefficients along each side of lattices, over that of all."""
+    found = np.zeros(len(values))
+    for across, down in np.unique(sizes, axis=0):
+        places = np.flatnonzero((sizes == (across, down)).all(1))
+        grid = np.stack([values[place] for place in places]).reshape(len(places), down, -1)
+        grid = np.matmul(_to_coefficients(int(down)), grid).reshape(len(places), down, across, -1)
+        power = np.abs(np.matmul(_to_coefficients(int(across)), grid)) ** 2
+        total = power.sum((1, 2, 3))
+        end = power[:, -(down // 3) :].sum((1, 2, 3)) + power[:, :, -(across // 3) :].sum((1, 2, 3))
+        found[places] = np.sqrt(end / np.maximum(total, _TINY))
+    return found
+
+
+@cache
+def _to_coefficients(count: int) -> Floats:
+    """(count, count) orthonormal matrix from values at Chebyshev nodes to coefficients."""
+    angle = np.arccos(chebyshev(count)[0])
+    matrix = np.cos(np.arange(count)[:, None] * angle) * np.sqrt(2 / count)
+    matrix[0] /= np.sqrt(2)
+    return matrix

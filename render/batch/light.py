@@ -1,0 +1,156 @@
+"""The light of three bounces of many scenes: hidden and direct return, and the mirrored depth map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.backend import Device, select_variant
+from render.batch.hidden import HiddenRatios
+from render.batch.tables import Scenes, World
+from scenegen.scene import Scene
+from scenegen.shapes import PRIMITIVES, Shape
+from scenegen.unit_meshes import UnitMesh, unit_mesh
+
+Phasors = NDArray[np.complex64]
+
+
+@dataclass(frozen=True)
+class LightImages:
+    """The light of N scenes.
+
+    Attributes
+    ----------
+    direct, hidden : (N, H, W, F) complex64, mean radiance of each pixel, W m^-2 sr^-1.
+    radial_depth_m : (N, H, W) float32 depth of the mirror image of the objects, 0 beside it.
+    error : (N,) upper bound of the error of `hidden`, relative to it; it holds in 95 % of scenes.
+    """
+
+    direct: Phasors
+    hidden: Phasors
+    radial_depth_m: NDArray[np.float32]
+    error: NDArray[np.float64]
+
+
+class BatchedLight:
+    """Renders scenes with at most three bounces, all with the same image size and frequencies.
+
+    Parameters
+    ----------
+    frequencies_hz : F modulation frequencies, Hz.
+    width, height : of the images, pixels.
+    error : wanted error of the hidden light, relative to it.
+    meshes : the user's meshes that the scenes have, by shape.
+    device : ``auto``, ``cpu`` or ``cuda``.
+    threads : of DrJit on the CPU, in this process; None keeps their number.
+
+    Raises
+    ------
+    BackendError : this machine cannot render on the requested device.
+    """
+
+    def __init__(
+        self,
+        frequencies_hz: Sequence[float],
+        width: int,
+        height: int,
+        *,
+        error: float,
+        meshes: Mapping[Shape, UnitMesh] | None = None,
+        device: Device = "auto",
+        threads: int | None = None,
+    ) -> None:
+        import drjit as dr
+
+        self.frequencies_hz, self.size = tuple(frequencies_hz), (width, height)
+        known = {shape: unit_mesh(shape) for shape in PRIMITIVES} | dict(meshes or {})
+        self._hidden = HiddenRatios(known, width, height, error)
+        variant = select_variant(device)
+        if threads is not None:
+            dr.set_thread_count(threads)
+        self._world = World(known, variant)
+
+    def images(self, scenes: Sequence[Scene]) -> LightImages:
+        """The light of scenes; each is the same in any batch."""
+        ready = self._world.scenes(scenes, self.frequencies_hz)
+        ratio, error = self._hidden.of(ready)
+        direct = self._direct(ready)
+        return LightImages(direct, direct * ratio, self._depth(ready), error)
+
+    def _direct(self, scenes: Scenes) -> Phasors:
+        """(N, H, W, F) direct return."""
+        import drjit as dr
+        import mitsuba as mi
+
+        from render.batch.kernels import images as kernels
+        from render.transport.kernels.arrays import upload
+
+        (width, height), corners, count = self.size, scenes.corners, len(scenes.scenes)
+        few, many = (np.polynomial.legendre.leggauss(n) for n in (kernels.Film.FEW, kernels.Film.MANY))
+        at = np.concatenate([few[0], many[0], [-1, 1]])
+        edge = corners.half / corners.aspect
+        lines = ((np.arange(height)[:, None] + 0.5 + at / 2) / height * 2 - 1)[None] * edge[:, None, None]
+        side = np.broadcast_to(corners.half[:, None, None], (count, lines[0].size, 1))
+        parts = np.concatenate([-side, side, side, side], -1)  # the whole line
+        cut = np.flatnonzero(scenes.shows_edges)
+        if len(cut):
+            seen = corners.some(cut).visible(lines[cut].reshape(len(cut), -1))
+            parts[cut] = seen.reshape(len(cut), -1, 4)
+        film = kernels.Film(
+            *(upload(parts), upload(lines), upload(np.concatenate([few[1], many[1]]) / 2)),
+            *(dr.opaque(mi.UInt32, height), dr.opaque(mi.Float, width / 2)),
+        )
+        scene, row, column = self._pixels(count)
+        pixel = dr.gather(mi.Float, upload(2 * corners.half / width), scene)
+        sums = kernels.direct_return(scenes.batch, scene, row, column, pixel, film)
+        dr.eval(sums)
+        power = np.pi * np.array([each.emitter.irradiance for each in scenes.scenes])
+        direct = np.empty((count, height, width, len(self.frequencies_hz)), np.complex64)
+        for place, (re, im) in enumerate(zip(*sums, strict=True)):
+            direct[..., place].real, direct[..., place].imag = (
+                np.array(each).reshape(count, height, width) * power[:, None, None] for each in (re, im)
+            )
+        return direct
+
+    def _depth(self, scenes: Scenes) -> NDArray[np.float32]:
+        """(N, H, W) radial depth of the mirror images."""
+        import drjit as dr
+        import mitsuba as mi
+
+        from render.batch.kernels import images as kernels
+        from render.transport.kernels.arrays import upload, upload_indices
+
+        (width, height), corners, count = self.size, scenes.corners, len(scenes.scenes)
+        scene, row, column = self._pixels(count)
+        half, edge = (
+            dr.gather(mi.Float, upload(each), scene) for each in (corners.half, corners.half / corners.aspect)
+        )
+        x = ((mi.Float(column) + 0.5) / dr.opaque(mi.Float, width) * 2 - 1) * half
+        y = ((mi.Float(row) + 0.5) / dr.opaque(mi.Float, height) * 2 - 1) * edge
+        ends = (
+            dr.gather(mi.UInt32, upload_indices(each), scene)
+            for each in (scenes.first_object[:-1], scenes.first_object[1:])
+        )
+        occluders = upload_indices(np.array([each.mirror_occluders for each in scenes.scenes]))
+        has_wall = dr.gather(mi.UInt32, occluders, scene) > 0
+        depth = kernels.mirrored_depth(
+            scenes.batch, scene, dr.normalize(mi.Vector3f(x, y, 1)), *ends, has_wall
+        )
+        dr.eval(depth)
+        return np.array(depth).reshape(count, height, width)
+
+    def _pixels(self, count: int) -> tuple[Any, Any, Any]:
+        """Scene, row and column of the pixels of `count` images."""
+        import drjit as dr
+        import mitsuba as mi
+
+        width, height = (dr.opaque(mi.UInt32, side) for side in self.size)
+        pixel = dr.arange(mi.UInt32, count * self.size[0] * self.size[1])
+        scene = pixel // (width * height)
+        inside = pixel - scene * (width * height)
+        row = inside // width
+        return scene, row, inside - row * width

@@ -1,0 +1,234 @@
+"""The scenes of a batch as the flat arrays of `render.batch.kernels`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import cos, radians, sin
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from itof import phase_per_metre
+from render.batch.corners import Corners
+from scenegen.mitsuba_description import ROUGH_WALL_INDEX
+from scenegen.pose import rotation_matrix
+from scenegen.scene import HiddenObject, RelayWall, Scene
+from scenegen.shapes import Shape
+from scenegen.unit_meshes import UnitMesh
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+Floats = NDArray[np.float64]
+_ROWS = 33  # of an image in which edges are looked for
+_CELL = 4.0  # distance of the unit meshes in their scene, in units of their box
+_GRID = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), -1).reshape(-1, 3)
+_DEEP, _WIDE = 1 / (1 - cos(1)), 0.5 / sin(1)  # of the arc of a bent sheet
+# x², y², z², x, z and 1 of the quadric of each primitive in its unit box, and how it hides light: as the box,
+# as the solid where it is not above 0, as the sheet where it is 0. A user's mesh has none.
+QUADRICS = {
+    "cube": (0, 0, 0, 0, 0, 0, 0),
+    "parallelepiped": (0, 0, 0, 0, 0, 0, 0),
+    "sphere": (1, 1, 1, 0, 0, -0.25, 1),
+    "cylinder": (1, 1, 0, 0, 0, -0.25, 1),
+    "cone": (1, 1, -0.25, 0, 0.25, -0.0625, 1),
+    "concave_plane": (
+        1 / _DEEP**2,
+        1 / _WIDE**2,
+        0,
+        (1 - 2 * _DEEP) / _DEEP**2,
+        0,
+        (0.25 - _DEEP) / _DEEP**2,
+        2,
+    ),
+}
+_MESH = (0, 0, 0, 0, 0, 0, 3)
+_CONVEX = ("cube", "cylinder", "sphere", "cone", "parallelepiped")
+
+
+@dataclass(frozen=True)
+class PlacedObject:
+    """A hidden object in camera axes: (3, 3) own axes as columns, centre and extents in metres."""
+
+    scene: int
+    shape: Shape
+    axes: Floats
+    centre: Floats
+    size: Floats
+    reflectance: float
+
+    @classmethod
+    def of(cls, number: int, part: HiddenObject, camera_axes: Floats, camera_m: Floats) -> PlacedObject:
+        """An object of the scene `number` of a batch."""
+        axes = camera_axes @ rotation_matrix(part.rotation_deg)
+        centre = camera_axes @ (np.array(part.location_m) - camera_m)
+        return cls(number, part.shape, axes, centre, np.array(part.size_m), part.reflectance)
+
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """(S,) whether points (S, 3) are inside it; nothing is inside a sheet or a user's mesh."""
+        *quadric, kind = QUADRICS.get(self.shape, _MESH)
+        if kind > 1:
+            return np.zeros(len(points), bool)
+        own = (points - self.centre) @ self.axes / self.size
+        x, y, z = own.T
+        a, b, c, d, e, f = quadric
+        inside: NDArray[np.bool_] = (np.abs(own) < 0.5).all(1)
+        return inside & (a * x**2 + b * y**2 + c * z**2 + d * x + e * z + f <= 0)
+
+    @property
+    def near_points(self) -> Floats:
+        """(27, 3) corners and middles of its box."""
+        points: Floats = (_GRID * self.size) @ self.axes.T + self.centre
+        return points
+
+    def rows(self, cell: int) -> Floats:
+        """(6, 4) numbers of `kernels.shadows.Shadows`."""
+        to_unit = (self.axes / self.size).T
+        rows = np.zeros((6, 4))
+        rows[:3, :3], rows[:3, 3] = to_unit, -to_unit @ self.centre
+        rows[3, 0] = _CELL * cell
+        rows[4:].flat[:7] = QUADRICS.get(self.shape, _MESH)
+        return rows
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """N scenes, ready for the kernels.
+
+    Attributes
+    ----------
+    corners : their cameras and walls; `box` (N, 4) the part of each image that shows the relay wall.
+    objects : all hidden objects, scene by scene.
+    first_object : (N + 1,) of each scene.
+    batch : the arrays of the kernels.
+    """
+
+    scenes: Sequence[Scene]
+    corners: Corners
+    box: Floats
+    objects: list[PlacedObject]
+    first_object: NDArray[np.int64]
+    batch: Any
+
+    def objects_of(self, scene: int) -> list[PlacedObject]:
+        """The hidden objects of a scene."""
+        return self.objects[self.first_object[scene] : self.first_object[scene + 1]]
+
+    @property
+    def shows_edges(self) -> NDArray[np.bool_]:
+        """(N,) whether an image shows something else than the relay wall."""
+        edge = self.corners.half / self.corners.aspect
+        rows = np.linspace(-1, 1, _ROWS) * edge[:, None]
+        first, last = self.corners.visible(rows)[:, :, 0].transpose(2, 0, 1)
+        half = self.corners.half[:, None]
+        cut: NDArray[np.bool_] = ((first != -half) | (last != half)).any(1)
+        return cut
+
+
+class World:
+    """The unit meshes of all shapes that scenes may have, in one Mitsuba scene that is made once.
+
+    Parameters
+    ----------
+    meshes : by shape.
+    variant : the active Mitsuba variant.
+    """
+
+    def __init__(self, meshes: Mapping[Shape, UnitMesh], variant: str) -> None:
+        self.cells = {shape: cell for cell, shape in enumerate(meshes)}
+        self.scene = _mesh_scene(list(meshes.values()))
+        self._variant = variant
+
+    def scenes(self, scenes: Sequence[Scene], frequencies_hz: Sequence[float]) -> Scenes:
+        """The arrays of some scenes."""
+        import drjit as dr
+        import mitsuba as mi
+
+        from render.batch.kernels.shadows import Shadows
+        from render.batch.kernels.wall import Batch, packed
+        from render.transport.kernels.arrays import upload, upload_indices
+
+        corners = Corners.of(scenes)
+        objects = [
+            PlacedObject.of(number, part, corners.axes[number], corners.origin[number])
+            for number, scene in enumerate(scenes)
+            for part in scene.hidden_objects
+        ]
+        counts = np.array([len(scene.hidden_objects) for scene in scenes])
+        first = np.concatenate([[0], np.cumsum(counts)])
+        shadowing = [_can_be_in_shadow(scene) for scene in scenes]
+        rows = np.stack([placed.rows(self.cells[placed.shape]) for placed in objects])
+        last = np.where(shadowing, first[1:], first[:-1])
+        shadows = Shadows(
+            *(self.scene, upload_indices(first[:-1]), upload_indices(last), upload(rows)),
+            any(shape not in QUADRICS for shape in self.cells),
+        )
+        walls, transmittance = self._walls(scenes, corners)
+        turns = [dr.opaque(mi.Float, float(k)) for k in phase_per_metre(frequencies_hz)]
+        batch = Batch(packed(walls), upload(transmittance), turns, shadows)
+        return Scenes(scenes, corners, corners.box(), objects, first, batch)
+
+    def _walls(self, scenes: Sequence[Scene], corners: Corners) -> tuple[Floats, Floats]:
+        """(N, 24) numbers of `kernels.wall.Wall`, and (N, 64) what passes the wall's surface by cosine."""
+        from render.transport.kernels.rough_wall import surface_tables
+
+        count = len(scenes)
+        rows, transmittance = np.zeros((count, 6, 4)), np.ones((count, 64))
+        alpha, base, gloss = np.full(count, 0.5), np.full(count, 1 / np.pi), np.zeros(count)
+        for number, scene in enumerate(scenes):
+            roughness = scene.relay_wall.roughness
+            if roughness is not None:
+                transmittance[number], internal = surface_tables(self._variant, roughness)
+                alpha[number], gloss[number] = roughness, 1.0
+                base[number] = 1 / (np.pi * ROUGH_WALL_INDEX**2 * (1 - internal))
+            rows[number, 1] = _brightness(scene.relay_wall, corners.axes[number], corners.origin[number])
+        middle = corners.middle
+        rows[:, 0, :3], rows[:, 0, 3] = corners.normal, alpha
+        rows[:, 2, :3], rows[:, 2, 3] = middle.corner, base
+        rows[:, 3, :3], rows[:, 3, 3] = _dual(middle.one), gloss
+        rows[:, 4, :3], rows[:, 4, 3] = _dual(middle.two), 1 / np.linalg.norm(corners.plane, axis=1)
+        rows[:, 5, :3] = middle.across
+        return rows.reshape(count, -1), transmittance
+
+
+def _mesh_scene(meshes: Sequence[UnitMesh]) -> mi.Scene:
+    """A Mitsuba scene of unit meshes, each in its own cell."""
+    import mitsuba as mi
+
+    counts = [len(mesh.vertices) for mesh in meshes]
+    first = np.concatenate([[0], np.cumsum(counts)])
+    vertices = [mesh.vertices + np.array([_CELL * cell, 0, 0]) for cell, mesh in enumerate(meshes)]
+    triangles = [mesh.triangles + start for mesh, start in zip(meshes, first, strict=False)]
+    made = mi.Mesh("unit_meshes", int(first[-1]), sum(map(len, triangles)))
+    parameters = mi.traverse(made)
+    parameters["vertex_positions"] = mi.Float(np.concatenate(vertices).astype(np.float32).ravel())
+    parameters["faces"] = mi.UInt32(np.concatenate(triangles).astype(np.uint32).ravel())
+    parameters.update()
+    return mi.load_dict({"type": "scene", "unit_meshes": made})
+
+
+def _can_be_in_shadow(scene: Scene) -> bool:
+    """Whether an object can hide light from itself or from another one: only a single convex solid cannot."""
+    shapes = [part.shape for part in scene.hidden_objects]
+    return len(shapes) > 1 or shapes[0] not in _CONVEX
+
+
+def _dual(edges: Floats) -> Floats:
+    """(N, 3) vectors whose product with an edge (N, 3) is 1."""
+    dual: Floats = edges / (edges**2).sum(-1, keepdims=True)
+    return dual
+
+
+def _brightness(wall: RelayWall, camera_axes: Floats, camera_m: Floats) -> Floats:
+    """(4,) w and c of the wall's reflectance w · p + c at its points p, in camera axes ."""
+    if wall.darkening is None:
+        return np.array([0, 0, 0, wall.reflectance])
+    angle = radians(wall.darkening.direction_deg)
+    step = np.array([cos(angle), sin(angle)]) * wall.size_m
+    own = (camera_axes @ rotation_matrix(wall.rotation_deg))[:, :2]  # columns: x and y of the wall
+    slope = own @ (step / np.abs(step).sum() / wall.size_m)
+    centre = camera_axes @ (np.array(wall.location_m) - camera_m)
+    change = wall.darkening.least_reflectance - wall.reflectance
+    return np.append(change * slope, wall.reflectance + change * (0.5 - slope @ centre))
