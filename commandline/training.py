@@ -12,12 +12,14 @@ from commandline.endings import NightCommand
 from commandline.options import FOLDER, option
 from commandline.results import JSON, tell
 from commandline.training_options import SET, TRAINING, given_settings
-from disk import PresetError
+from disk import PresetError, read_settings
 from model.settings.keys import merged
-from scenegen import open_dataset
+from scenegen import Preset, open_dataset, preset_from_dict
 
 if TYPE_CHECKING:
     from model import TrainSettings
+    from scenegen.making.meshes import UserMesh
+    from scenegen.shapes import Shape
 
 
 @click.command(cls=NightCommand)
@@ -32,12 +34,25 @@ if TYPE_CHECKING:
     help="Fine-tuning: start from the best weights of this run, with its input, network, target and "
     "algorithm.",
 )
+@option(
+    "Training",
+    "--fresh",
+    metavar="PRESET",
+    help="Train on new scenes of this preset of scenes, rendered meanwhile; DATASET scales the input and "
+    "judges.",
+)
 @JSON
 @option("Settings", "--preset", help="Settings of a name in data/training, or of a .toml file.")
 @SET
 @TRAINING
 def night_train(
-    dataset: Path, out: Path, resume: bool, start_from: Path | None, as_json: bool, **options: Any
+    dataset: Path,
+    out: Path,
+    resume: bool,
+    start_from: Path | None,
+    fresh: str | None,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Train a network on the renders of DATASET.
 
@@ -53,9 +68,21 @@ def night_train(
         raise click.UsageError("--from begins a new run, and --resume goes on with one: leave one out")
     opened = open_dataset(dataset)
     settings = _chosen_settings(out, resume, start_from, **options)
-    result = model.train(opened, out, settings, resume=resume, start_from=start_from)
+    preset, meshes = _fresh_preset(fresh) if fresh else (None, None)
+    result = model.train(
+        *(opened, out, settings), resume=resume, start_from=start_from, fresh=preset, meshes=meshes
+    )
     if is_first_process():
         tell([result.sentence(out)], {"run": str(out), **asdict(result)}, as_json)
+
+
+def _fresh_preset(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh]]:
+    """A preset of scenes, and the mesh files that it names."""
+    from scenegen.making.meshes import read_meshes
+
+    data, origin = read_settings("presets", name_or_file)
+    preset = preset_from_dict(data, origin)
+    return preset, read_meshes(preset, Path(origin).parent)
 
 
 def _chosen_settings(

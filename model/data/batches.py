@@ -114,7 +114,8 @@ class BatchMaker:
         phasors = np.take(block.phasors, self.places, axis=-1)  # contiguous, which indexing is not
         arrays = {name: getattr(block, name) for name in ARRAYS} | {"phasors": phasors}
         device = self.wall.rays.device
-        return RowBlock(block.rows, **{n: torch.from_numpy(array).to(device) for n, array in arrays.items()})
+        tensors = {name: torch.from_numpy(array).to(device) for name, array in arrays.items()}
+        return RowBlock(block.rows, **tensors, fields_of_view_deg=block.fields_of_view_deg)
 
     @property
     def reference_bytes(self) -> int:
@@ -128,7 +129,10 @@ class BatchMaker:
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
         for some in _parts(rows):
             measured = rows.phasors[some]
-            wall = _on(found.device, self.walls.of(rows.rows[some])) if self.walls else self.wall
+            views_deg = rows.fields_of_view_deg
+            wall = self.wall
+            if self.walls is not None and views_deg is not None:
+                wall = _on(found.device, self.walls.of(views_deg[some].tolist()))
             fit = fits.of(rows.rows[some], measured, wall) if fits else None
             found[some] = self.inputs.reference_of_image(measured, wall, fit)
         return found

@@ -68,7 +68,7 @@ def fit_input_spec(
     amplitudes, brightest, means, squares = [], 0.0, [], []
     walls: list[tuple[float, float, float]] = []
     for some, phasors in _images(shards, rows):
-        wall = walls_of_scenes.of(some) if walls_of_scenes else wall
+        wall = walls_of_scenes.of(shards.fields_of_view_deg(some)) if walls_of_scenes else wall
         first = amplitude(phasors[..., places[0]])  # (n, H, W)
         amplitudes.extend(first.mean(axis=(1, 2)))
         brightest = max(brightest, float(first.max()))
@@ -125,7 +125,7 @@ def largest_shift_m(inputs: InputSpec, shards: Shards, rows: Sequence[int], view
     of_scenes = SceneWalls.of_shards(view, shards, frequencies_hz)
     shifts_m = [0.0]
     for some, phasors in _images(shards, rows):
-        wall = of_scenes.of(some) if of_scenes else expected
+        wall = of_scenes.of(shards.fields_of_view_deg(some)) if of_scenes else expected
         _, inverse = inputs.parted(_reference(inputs, phasors[..., places], wall))
         statistics = _wall_statistics(inverse[..., 0].real.astype(np.float64), wall)
         shifts_m.extend(shift_m for _, _, shift_m in statistics)

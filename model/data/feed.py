@@ -93,6 +93,14 @@ class Feed:
         left, used = without_first(windows, skip * batch_size)
         return _batches(self._blocks(left), batch_size, used)
 
+    def epoch(
+        self, number: int, generator: torch.Generator, batch_size: int, skip: int
+    ) -> tuple[Sequence[int], Iterator[RowBlock]]:
+        """The rows of an epoch in random order, and its batches without the first `skip`."""
+        windows = self.shuffled_windows(generator)
+        order = [row for window in windows for row in window]
+        return order, self.in_windows(windows, batch_size, skip=skip)
+
     def in_order(self, batch_size: int) -> Iterator[RowBlock]:
         """Batches with every row once, in ascending order."""
         windows = windows_in_order(self.distinct_rows, self._per_piece, self.window_rows)

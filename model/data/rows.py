@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 ARRAYS = ("phasors", "target", "radial_depth_m", "mask")
 
@@ -58,6 +58,8 @@ class RowBlock:
     mask : (n, H, W) uint8, 0 or 1.
     reference : (n, H, W, F or F + 1) complex64, `InputSpec.reference_of_image` of every image
         (`model.network.channels`), which `model.data.batches` adds; None as read from the shards.
+    fields_of_view_deg : (n,) full horizontal field of view of each scene, numpy; None if all have that of the
+        dataset.
     """
 
     rows: tuple[int, ...]
@@ -66,6 +68,7 @@ class RowBlock:
     radial_depth_m: Any
     mask: Any
     reference: Any = None
+    fields_of_view_deg: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -73,13 +76,19 @@ class RowBlock:
     def take(self, rows: Sequence[int]) -> RowBlock:
         """A copy of some rows, in the order of `rows`."""
         chosen = [self._places[row] for row in rows]
-        return RowBlock(tuple(rows), **{name: getattr(self, name)[chosen] for name in self._held})
+        arrays = {name: getattr(self, name)[chosen] for name in self._held}
+        return RowBlock(tuple(rows), **arrays, fields_of_view_deg=self._views(chosen))
 
     def joined(self, other: RowBlock) -> RowBlock:
         """A block with these rows, followed by the rows of `other`."""
         xp = array_namespace(self.phasors)
         arrays = {name: xp.concat([getattr(self, name), getattr(other, name)]) for name in self._held}
-        return RowBlock(self.rows + other.rows, **arrays)
+        one, two = self.fields_of_view_deg, other.fields_of_view_deg
+        views_deg = None if one is None or two is None else np.concatenate([one, two])
+        return RowBlock(self.rows + other.rows, **arrays, fields_of_view_deg=views_deg)
+
+    def _views(self, chosen: list[int]) -> NDArray[np.float64] | None:
+        return None if self.fields_of_view_deg is None else self.fields_of_view_deg[chosen]
 
     @property
     def _held(self) -> tuple[str, ...]:

@@ -37,13 +37,13 @@ class SceneWalls:
     Attributes
     ----------
     view : camera and wall of the dataset; its own field of view is not used.
-    fields_of_view_deg : full horizontal field of view of each row of the shards, degrees.
+    range_deg : smallest and largest horizontal field of view of the scenes, degrees.
     width, height : image size, pixels.
     frequencies_hz : F modulation frequencies, Hz.
     """
 
     view: WallView
-    fields_of_view_deg: tuple[float, ...]
+    range_deg: tuple[float, float]
     width: int
     height: int
     frequencies_hz: tuple[float, ...]
@@ -52,19 +52,20 @@ class SceneWalls:
     def of_shards(cls, view: WallView, shards: Shards, frequencies_hz: Sequence[float]) -> SceneWalls | None:
         """For the rows of shards; None if all scenes have the field of view of the dataset."""
         manifest = shards.manifest
-        if not manifest.fields_of_view_deg:
+        views_deg = manifest.fields_of_view_deg
+        if not views_deg:
             return None
         size = manifest.width, manifest.height
-        return cls(view, manifest.fields_of_view_deg, *size, tuple(frequencies_hz))
+        return cls(view, (min(views_deg), max(views_deg)), *size, tuple(frequencies_hz))
 
-    def of(self, rows: Sequence[int]) -> ExpectedWall:
-        """The walls of rows, one each, with their direct return in complex64."""
+    def of(self, views_deg: Sequence[float]) -> ExpectedWall:
+        """The walls of scenes with these fields of view, with their direct return in complex64."""
         series = self._series  # once, before the threads
         with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # numpy lets other threads work
-            return ExpectedWall.stacked(list(pool.map(lambda row: self._of_row(row, series), rows)))
+            return ExpectedWall.stacked(list(pool.map(lambda deg: self._of_view(deg, series), views_deg)))
 
-    def _of_row(self, row: int, series: NDArray[np.complex128] | None) -> ExpectedWall:
-        view = self.view.with_fov(self.fields_of_view_deg[row])
+    def _of_view(self, view_deg: float, series: NDArray[np.complex128] | None) -> ExpectedWall:
+        view = self.view.with_fov(view_deg)
         if series is None:
             direct = self._direct(view.horizontal_fov_deg)
         else:
@@ -74,13 +75,9 @@ class SceneWalls:
     def _direct(self, fov_deg: float) -> NDArray[np.complex128]:
         return self.view.with_fov(fov_deg).direct_phasors(self.width, self.height, self.frequencies_hz)
 
-    @property
-    def _range_deg(self) -> tuple[float, float]:
-        return min(self.fields_of_view_deg), max(self.fields_of_view_deg)
-
     def _place(self, fov_deg: float) -> float:
         """A field of view as a number from -1 to 1."""
-        low, high = self._range_deg
+        low, high = self.range_deg
         return (2 * fov_deg - low - high) / (high - low)
 
     @cached_property
@@ -92,10 +89,10 @@ class SceneWalls:
 
         Source: Gauss-Chebyshev quadrature, which is exact for polynomials of degree below K.
         """
-        low, high = self._range_deg
+        low, high = self.range_deg
         for count in _NODES:
             size = 16 * count * self.width * self.height * len(self.frequencies_hz)
-            if count >= len(set(self.fields_of_view_deg)) or size > _MOST_BYTES:
+            if low == high or size > _MOST_BYTES:
                 break
             nodes = chebyshev.chebpts1(count)
             values = np.stack([self._direct((low + high + (high - low) * node) / 2) for node in nodes])

@@ -64,7 +64,10 @@ class Shards:
         ------
         ShardError : the shards changed after they were opened.
         """
-        block = self.manifest.layout.empty(rows)
+        views_deg = self.fields_of_view_deg(rows)
+        block = replace(
+            self.manifest.layout.empty(rows), fields_of_view_deg=np.array(views_deg) if views_deg else None
+        )
         wanted: dict[int, list[tuple[int, int]]] = {}
         for place, row in enumerate(rows):
             piece, row_of_piece = divmod(row, self.manifest.scenes_per_piece)

@@ -25,6 +25,7 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
+from model.settings.fresh import FreshScenes
 from model.settings.target import ComponentsTarget, MaskAndDepthTarget
 from model.settings.train_settings import MAY_CHANGE_ON_RESUME, TrainSettings, flat_settings, plain_settings
 
@@ -79,6 +80,7 @@ class RunConfig:
     object_depth_m : mean and standard deviation of the object's radial depth in the training scenes, metres,
         constants of the output for the target ``mask+depth``; None otherwise.
     started_from : the network that the training started from; None if from random weights.
+    fresh : the stream of scenes that the network was trained on; None if on those of the dataset.
     fields_of_view_deg : smallest and largest horizontal field of view of the scenes, degrees; None if all
         have that of `geometry`.
 
@@ -104,6 +106,7 @@ class RunConfig:
         None
     )
     started_from: Annotated[StartingWeights | None, Field(exclude_if=lambda value: value is None)] = None
+    fresh: Annotated[FreshScenes | None, Field(exclude_if=lambda value: value is None)] = None
     fields_of_view_deg: Annotated[
         tuple[FieldOfView, FieldOfView] | None, Field(exclude_if=lambda value: value is None)
     ] = None

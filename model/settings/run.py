@@ -27,6 +27,12 @@ class RunSettings:
     """For patience, a validation loss is better only if it is lower by more than this."""
     train_scenes: WholeCount | None = None
     """Train on the first so many training scenes only, for learning curves; by default on all."""
+    epoch_scenes: WholeCount = 8192
+    """With --fresh: scenes between two validations."""
+    fresh_error: Annotated[float, Field(gt=0, le=1)] = 0.04
+    """With --fresh: error of the hidden light of the scenes, relative to it."""
+    workers: WholeCount = 1
+    """With --fresh: processes that render scenes, of each training process."""
     ground_truth: GroundTruth = "geometry"
     """Truth from the shape of the mirrored object, or from the simulator's transient of the mirrored scene,
     as in the paper; simulated needs transients."""

@@ -20,7 +20,7 @@ from model.settings.run import RunSettings
 from model.settings.target import MaskAndDepthTarget, TargetSettings
 
 MAY_CHANGE_ON_RESUME: Final = frozenset(
-    {"run.max_epochs", "run.device", "run.progress", "run.checkpoint_minutes"}
+    {"run.max_epochs", "run.device", "run.workers", "run.progress", "run.checkpoint_minutes"}
 )
 
 

@@ -40,10 +40,9 @@ def train_epoch(state: TrainingState, out: Path, bar: Progress, interruption: In
     # Order and augmentation depend only on seed and epoch, so they are the same after a resume.
     epoch = len(state.history) + 1
     generator = torch.Generator().manual_seed(epoch_seed(state.settings.run.seed, epoch))
-    windows = feed.shuffled_windows(generator)
-    blocks = feed.in_windows(windows, size, skip=state.batches_done)
-    draws = _draws(state, [row for window in windows for row in window], generator)
-    watch = LossWatch(epoch, state.shards.ids, every=_check_every(state))
+    order, blocks = feed.epoch(epoch, generator, size, state.batches_done)
+    draws = _draws(state, order, generator)
+    watch = LossWatch(epoch, state.names, every=_check_every(state))
     for block in blocks:
         mine = state.processes.share(range(len(block)))
         part = block.take([block.rows[place] for place in mine])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -30,6 +32,7 @@ from model.run_folder.run_config import (
     run_id_of,
     write_config,
 )
+from model.settings.fresh import FreshScenes
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint, refuse_short_checkpoint
 from model.training.corner_images import corner_images
@@ -46,12 +49,15 @@ from model.training.refusals import (
     naming_memory,
     refuse_images_of_many_corners,
     refuse_missing_scenes,
+    refuse_other_corner,
     refuse_other_view,
     refuse_start,
 )
 from model.training.state import TrainingState, rows_of
 from processes.progress import showing_progress
-from scenegen import Dataset
+from scenegen import Dataset, Preset
+from scenegen.shapes import Shape
+from scenegen.unit_meshes import UnitMesh
 
 _log = logging.getLogger(__name__)
 _AGAIN: Final = "start again"
@@ -81,6 +87,8 @@ def train(
     *,
     resume: bool = False,
     start_from: PathLike | None = None,
+    fresh: Preset | None = None,
+    meshes: Mapping[Shape, UnitMesh] | None = None,
     memory_bytes: int | None = None,
 ) -> TrainingResult:
     """Train a network on a dataset's training scenes and write the run folder `out`.
@@ -99,6 +107,10 @@ def train(
     start_from : run folder of a trained network, whose best weights the training starts from (fine-tuning).
         `settings` must have its network and input (`fine_tuning_settings`); the constants of its input
         channels are kept, except the largest shift of the wall. A resumed run no longer needs this folder.
+    fresh : train on new scenes of this preset, which worker processes draw and render meanwhile; no scene
+        comes twice. The training scenes of `dataset` then scale the input, and its validation scenes judge.
+        A resumed run needs `fresh` only for `meshes`.
+    meshes : the mesh files that the shapes of `fresh` name (`scenegen.making.meshes.read_meshes`).
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
         (`model.data.feed`). A resumed run keeps the windows of its start.
@@ -120,8 +132,11 @@ def train(
             raise RunError(f"{out} goes on from its own weights: leave out resume or start_from")
         refuse_images_of_many_corners(dataset, settings)
         start = read_start(Path(start_from), settings) if start_from is not None else None
+        stream = FreshScenes(fresh, settings.run.fresh_error) if fresh else None
         with only_training(out, processes, check):
-            return _train(dataset, out, settings, processes, resume, start, memory_bytes)
+            return _train(
+                dataset, out, settings, processes, resume, start, stream, meshes or {}, memory_bytes
+            )
 
 
 def _train(
@@ -131,6 +146,8 @@ def _train(
     processes: Processes,
     resume: bool,
     start: Start | None,
+    fresh: FreshScenes | None,
+    meshes: Mapping[Shape, UnitMesh],
     memory_bytes: int | None,
 ) -> TrainingResult:
     """`train` in one of its processes, under the lock."""
@@ -148,7 +165,11 @@ def _train(
     refuse_other_view(shards, dataset, settings)
     if shown and not before and not start:
         _log.info("scaling the input channels by the training scenes")
-    config = _configure(dataset, shards, settings, before, start)
+    if before is not None:
+        fresh = before.fresh
+    if fresh is not None:
+        refuse_other_corner(fresh.preset, dataset, shards, settings, meshes)
+    config = _configure(dataset, shards, settings, before, start, fresh)
     change = changed_setting(before, config) if before else None
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
@@ -160,7 +181,7 @@ def _train(
             weights = weights | corner_images(config, dataset, shards, rows)
         else:
             refuse_short_checkpoint(out, config)  # before the network is made, which may take all memory
-        state = TrainingState(config, shards, processes, memory_bytes, weights)
+        state = TrainingState(config, shards, processes, memory_bytes, weights, meshes)
         checkpoint = load_checkpoint(out, before, state.weights_bytes) if before else None
         if checkpoint:
             state.restore(checkpoint, out / CHECKPOINT_FILE)
@@ -181,7 +202,12 @@ def _train(
 
 
 def _configure(
-    dataset: Dataset, shards: Shards, settings: TrainSettings, before: RunConfig | None, start: Start | None
+    dataset: Dataset,
+    shards: Shards,
+    settings: TrainSettings,
+    before: RunConfig | None,
+    start: Start | None,
+    fresh: FreshScenes | None,
 ) -> RunConfig:
     """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
     manifest, rows, chosen = shards.manifest, rows_of(shards, "train", settings), settings.input
@@ -212,7 +238,7 @@ def _configure(
     problem = many_corners_problem(dataset, inputs)
     if problem:
         raise TrainingError(problem)
-    views_deg = manifest.fields_of_view_deg
+    views_deg = [*manifest.fields_of_view_deg, *(fresh.fields_of_view_deg if fresh else ())]
     config = RunConfig(
         settings=settings,
         inputs=inputs,
@@ -227,6 +253,7 @@ def _configure(
         background_per_object=ratio if settings.balances_dataset else None,
         object_depth_m=depth_m if settings.predicts_probability else None,
         started_from=before.started_from if before else start.origin if start else None,
+        fresh=fresh,
         fields_of_view_deg=(min(views_deg), max(views_deg)) if views_deg else None,
     )
     return replace(config, run_id=before.run_id if before else run_id_of(config))
@@ -253,7 +280,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
         show=state.settings.run.progress and is_first,
     )
     log = TrainingLog(out if is_first else None, done)
-    with Interruption() as interruption, shown as bar:
+    with Interruption() as interruption, shown as bar, closing(state):
         while len(state.history) < max_epochs and not state.out_of_patience():
             bar.set_description(f"epoch {len(state.history) + 1}", refresh=False)
             train_loss = train_epoch(state, out, bar, interruption)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 from typing import Final
 
 from disk import NightError, is_partial
+from itof import megahertz
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
 from model.device import plain_memory_errors
@@ -17,8 +18,11 @@ from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_c
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
-from scenegen import Dataset
+from scenegen import Dataset, Preset
+from scenegen.shapes import MESH_PREFIX, Shape
+from scenegen.unit_meshes import UnitMesh
 
+MOST_BOUNCES: Final = 3  # of the batched engine
 RESUME: Final = "go on with night-train --resume"
 GO_ON: Final = f"{RESUME}; the run keeps its last checkpoint"
 
@@ -69,6 +73,59 @@ def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings)
         problem = view_problem(camera.sensor, dataset, found.width, found.height, frequencies_hz)
         if problem:
             raise TrainingError(problem)
+
+
+def refuse_other_corner(
+    preset: Preset,
+    dataset: Dataset,
+    shards: Shards,
+    settings: TrainSettings,
+    meshes: Mapping[Shape, UnitMesh],
+) -> None:
+    """`TrainingError` if fresh scenes of a preset do not fit a dataset, or cannot be made for a training."""
+    problem = _corner_problem(preset, dataset, shards) or _fresh_problem(preset, settings, meshes)
+    if problem:
+        raise TrainingError(problem)
+
+
+def _corner_problem(preset: Preset, dataset: Dataset, shards: Shards) -> str | None:
+    """Why a dataset cannot scale and judge a training on fresh scenes of a preset."""
+    root, judged, found, camera = dataset.root, dataset.preset, shards.manifest, preset.camera
+    if dataset.is_measured:
+        return f"{root} holds captures, which fresh scenes do not resemble"
+    if not preset.is_one_corner and judged.is_one_corner:
+        return f"fresh scenes have their cameras elsewhere (camera_spread), and those of {root} do not"
+    if _corner(preset) != _corner(judged):
+        return f"camera and relay wall of fresh scenes must be those of {root}, which judges them"
+    size = f"{found.width}x{found.height} pixels"
+    if found.width * camera.height != found.height * camera.width:
+        return f"images of {root} have {size}, fresh ones have the shape {camera.width}x{camera.height}"
+    if preset.itof.frequencies_hz != found.frequencies_hz:
+        known, other = megahertz(*found.frequencies_hz), megahertz(*preset.itof.frequencies_hz)
+        return f"fresh scenes have {other}, and {root} has {known}"
+    return None
+
+
+def _fresh_problem(preset: Preset, settings: TrainSettings, meshes: Mapping[Shape, UnitMesh]) -> str | None:
+    """Why fresh scenes cannot be made for a training."""
+    named = {shape for shape in preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)}
+    bounces, paper = preset.transient.max_bounces, settings.augmentation.paper
+    if settings.run.ground_truth != "geometry":
+        return "fresh scenes have no simulated ground truth: take run.ground_truth=geometry"
+    if bounces != MOST_BOUNCES:
+        return f"fresh scenes have {MOST_BOUNCES} bounces, and the preset asks for {bounces}"
+    if not named <= set(meshes):
+        return "the mesh files of fresh scenes are not known: give --fresh PRESET, also with --resume"
+    if paper is not None and paper.copies_per_change:
+        return "fresh scenes are no set to enlarge once: take augmentation.paper.copies_per_change=0"
+    return None
+
+
+def _corner(preset: Preset) -> tuple[object, ...]:
+    """Place of camera and relay wall, and the field of view."""
+    camera, wall = preset.camera, preset.relay_wall
+    lens = camera.horizontal_fov_deg
+    return camera.location_m, camera.rotation_deg, lens, wall.location_m, wall.rotation_deg
 
 
 def refuse_missing_scenes(shards: Shards, dataset: Dataset, wanted: int | None) -> None:

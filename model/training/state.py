@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -23,6 +24,7 @@ from model.paper.enlarged_set import EnlargedSet
 from model.run_folder.history import HISTORY_FILE, EpochRecord, compared_losses, write_history
 from model.run_folder.run_config import RunConfig, RunError, run_id_of
 from model.run_folder.weights import WEIGHTS_FILE, fill, save_weights
+from model.settings.fresh import FreshScenes
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, save_checkpoint
 from model.training.checkpoint_contents import (
@@ -31,12 +33,16 @@ from model.training.checkpoint_contents import (
     checked_tensors,
     checked_whole,
 )
+from model.training.fresh.feed import FreshFeed
+from model.training.fresh.workers import FreshWorkers, Rendering
 from model.training.optimisation import epochs_without_improvement
 from model.training.processes import Processes, processes_of_this_machine
 from model.training.refusals import GO_ON, TrainingError, naming_disk
 from model.training.step import TrainingStep, augmentation_of
 from model.training.uncertainty_fit import UncertaintyFactors
 from scenegen import Split
+from scenegen.shapes import Shape
+from scenegen.unit_meshes import UnitMesh
 
 _log = logging.getLogger(__name__)
 
@@ -60,6 +66,7 @@ class TrainingState:
     Parameters
     ----------
     weights : weights to start from, all or some; the others are random.
+    meshes : the user's meshes of fresh scenes, by shape.
     """
 
     def __init__(
@@ -69,6 +76,7 @@ class TrainingState:
         processes: Processes,
         memory_bytes: int | None,
         weights: Mapping[str, Tensor] | None = None,
+        meshes: Mapping[Shape, UnitMesh] | None = None,
     ) -> None:
         settings, device = config.settings, processes.device
         camera = settings.augmentation.camera
@@ -79,10 +87,14 @@ class TrainingState:
         self.maker = BatchMaker.for_shards(
             *(config.inputs, frequencies_hz, wall, device, camera.sensor if camera else None),
             sensor_capture=camera is not None and camera.empty_corner,
-            walls=SceneWalls.of_shards(config.geometry, shards, config.inputs.frequencies_hz),
+            walls=_walls(config),
         )
         self.enlarged = _enlarged(rows_of(shards, "train", settings), settings)
-        self.feeds = {split: self._feed(split, memory_bytes) for split in ("train", "validation")}
+        self.feeds: dict[str, Any] = {"validation": self._feed("validation", memory_bytes)}
+        if config.fresh is None:
+            self.feeds["train"] = self._feed("train", memory_bytes)
+        else:
+            self.feeds["train"] = self._fresh_feed(config.fresh, meshes or {})
         steps = -(-len(self.feeds["train"].rows) // settings.optimiser.batch_size)
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
         self.optimisation = self.step.optimisation
@@ -105,6 +117,26 @@ class TrainingState:
         # The window decides the order of the rows, which must be the same in all processes.
         return self._feed_of(split, rows, self.processes.smallest(window))
 
+    def _fresh_feed(self, scenes: FreshScenes, meshes: Mapping[Shape, UnitMesh]) -> FreshFeed:
+        """Feed of the training's own scenes."""
+        run, processes = self.settings.run, self.processes
+        workers = run.workers
+        threads = max(1, len(os.sched_getaffinity(0)) // (workers * processes_of_this_machine()))
+        width, height = self.config.image_width, self.config.image_height
+        rendering = Rendering(
+            *(scenes.with_seed(run.seed), meshes, width, height, run.device, threads),
+        )
+        return FreshFeed(
+            *(FreshWorkers(rendering, workers), run.epoch_scenes, run.max_epochs, width * height),
+            *(self.maker.upload_to_augment, processes),
+        )
+
+    def names(self, rows: Sequence[int]) -> list[str]:
+        """Names of training scenes for a message."""
+        if self.config.fresh is None:
+            return self.shards.ids(rows)
+        return [f"{row} of the stream" for row in rows]
+
     def _feed_of(self, split: Split, rows: Sequence[int], window_rows: int) -> Feed:
         """Feed of these rows of a split, in windows of at least so many of them."""
         prepare = self.maker.upload_to_augment if split == "train" else self.maker.upload
@@ -118,6 +150,11 @@ class TrainingState:
             ),
             prepares_ahead=self.processes.device.type != "cpu",
         )
+
+    def close(self) -> None:
+        """End the workers that render fresh scenes."""
+        if self.config.fresh is not None:
+            self.feeds["train"].close()
 
     @property
     def best(self) -> EpochRecord:
@@ -230,7 +267,8 @@ class TrainingState:
         self.history, self.best_weights, self.batches_done = history, best, batches
         if self.processes.is_first:  # the total is a sum over processes
             self.loss_total += loss_total
-        self.keep_windows(window_rows)
+        if self.config.fresh is None:
+            self.keep_windows(window_rows)
 
     def keep_windows(self, window_rows: int) -> None:
         """Use the window size with which the run began; another size would change the order of the scenes."""
@@ -243,6 +281,14 @@ class TrainingState:
                 feed.window_rows,
             )
         self.feeds["train"] = self._feed_of("train", feed.rows, window_rows)
+
+
+def _walls(config: RunConfig) -> SceneWalls | None:
+    """The walls of scenes with different fields of view; None if all have that of the run's geometry."""
+    if config.fields_of_view_deg is None:
+        return None
+    size = config.image_width, config.image_height
+    return SceneWalls(config.geometry, config.fields_of_view_deg, *size, config.inputs.frequencies_hz)
 
 
 def rows_of(shards: Shards, split: Split, settings: TrainSettings) -> list[int]:
