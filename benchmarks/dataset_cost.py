@@ -145,9 +145,9 @@ def shard_cost(dataset: Dataset) -> float:
     return (time.perf_counter() - started) / len(dataset.ids())
 
 
-def no_op(job: Job) -> Outcome:
+def no_op(job: Job) -> list[Outcome]:
     """A job that does nothing."""
-    return Outcome(job.scene_id, "rendered")
+    return [Outcome(each, "rendered") for each in job.scene_ids]
 
 
 def scheduler_cost(dataset: Dataset) -> float:

@@ -103,10 +103,45 @@ class PathOptions:
         return replace(self, spp=min(self.spp, _ONE_BOUNCE_SPP))
 
 
-MethodOptions = ManyLightOptions | PathOptions
-OPTIONS: dict[str, type[MethodOptions]] = {made.method: made for made in (ManyLightOptions, PathOptions)}
-# A recipe lists the options of both methods, whichever of the two renders. This form must not change, because
-# a scene with another recipe is rendered again. Recipes of a new method list its options in addition.
+@dataclass(frozen=True)
+class BatchedOptions:
+    """Options of the method ``batched``, which renders phasors of many scenes at once.
+
+    Attributes
+    ----------
+    error : wanted error of the hidden phasors, relative to the hidden phasors.
+
+    Raises
+    ------
+    OptionError : a value that is not above 0.
+    """
+
+    method: ClassVar[str] = "batched"
+    phasor_parts: ClassVar[int] = 3
+    transient_fill: ClassVar[float] = ManyLightOptions.transient_fill
+    has_only_bins: ClassVar[bool] = False
+    edge_divisions: ClassVar[int] = FINEST_EDGES  # its edges are exact
+
+    error: float = 0.01
+
+    def __post_init__(self) -> None:
+        self.for_other_scenes()
+
+    def for_other_scenes(self) -> ManyLightOptions:
+        """Options of ``many-light``, which renders what this method cannot."""
+        return ManyLightOptions(error=self.error)
+
+    def for_one_bounce(self) -> Self:
+        """Options for a scene with one bounce: unchanged."""
+        return self
+
+
+MethodOptions = ManyLightOptions | PathOptions | BatchedOptions
+OPTIONS: dict[str, type[MethodOptions]] = {
+    made.method: made for made in (ManyLightOptions, PathOptions, BatchedOptions)
+}
+# A recipe lists the options of the first two methods, whichever renders. This form must not change, because a
+# scene with another recipe is rendered again. Recipes of a new method list its options in addition.
 _LISTED = {**asdict(PathOptions()), **asdict(ManyLightOptions())}
 
 
@@ -125,7 +160,7 @@ def options_of(method: str, given: dict[str, Any]) -> MethodOptions:
     own = _own_names(method)
     for name in sorted(given.keys() - own):
         owners = [other for other in OPTIONS if name in _own_names(other)]
-        whose = f"an option of method {owners[0]}" if owners else "not an option of any method"
+        whose = f"an option of method {' or '.join(owners)}" if owners else "not an option of any method"
         raise OptionError(f"--{name} is {whose}, and the method is {method}: leave it out")
     return OPTIONS[method](**given)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from threadpoolctl import ThreadpoolController
 
 from disk import remove_leftovers, sha256_of, whole_file, whole_files
 from itof import (
+    DepthMap,
     MeasurementMatrix,
     Splat,
     TransientWriter,
@@ -23,7 +25,9 @@ from itof import (
     write_image,
 )
 from render.backend import drjit_threads, select_variant
+from render.batch.light import BOUNCES, BatchedLight, SceneLight, suits
 from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured
+from render.options import BatchedOptions
 from render.settings import RenderError, RenderSettings
 from render.transport.lights.hidden_surface import HiddenSurfaceError
 from render.transport.method import Exposure, View
@@ -53,6 +57,7 @@ from scenegen.mitsuba_description import mirrored_description, seen_description
 from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
+_Result = TypeVar("_Result")
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
 
 
@@ -94,13 +99,7 @@ class Renderer:
         self._mirrored_method = make(settings.options.for_one_bounce(), self.variant)
 
     def render(self, scene_id: str) -> RenderRecord:
-        """Render a scene and its mirrored scene into ``renders/<id>/``, and return the record of the files.
-
-        Each file is written whole or not at all. The earlier record is deleted when all files are written,
-        before the first one gets its name, and the new record is written last. So a record never describes
-        other files, and a rendering that fails leaves the earlier render, unless that has other settings. The
-        scene's files are read once: the bytes that are compared with ``dataset.json`` are those that are
-        rendered.
+        """`render_all` of one scene.
 
         Raises
         ------
@@ -108,15 +107,60 @@ class Renderer:
             accept that), the method cannot render the scene, or a pixel is NaN or infinite.
         NightError : a file of the scene is missing or damaged.
         """
-        source = self._read(scene_id)
+        (result,) = self.render_all([scene_id])
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    def render_all(self, scene_ids: Sequence[str]) -> Iterator[RenderRecord | Exception]:
+        """Render scenes and their mirrored scenes into ``renders/<id>/``; yield the records of the files.
+
+        A scene that cannot be rendered gives its error. The files of a scene do not depend on the others.
+
+        Each file is written whole or not at all. The earlier record is deleted when all files are written,
+        before the first one gets its name, and the new record is written last. So a record never describes
+        other files, and a rendering that fails leaves the earlier render, unless that has other settings. The
+        scene's files are read once: the bytes that are compared with ``dataset.json`` are those that are
+        rendered.
+        """
         # Matrix products round differently on one thread and on two: files must not depend on the workers.
         with (
             self._libraries.limit(limits=1, user_api="blas"),
             compressing_with_threads(drjit_threads()),
         ):
-            return self._render(source)
+            sources = [_result(self._read, scene_id) for scene_id in scene_ids]
+            lights = self._lights([each for each in sources if isinstance(each, _Source)])
+            for source in sources:
+                if isinstance(source, _Source):
+                    yield _result(self._render, source, lights.get(source.scene.id))
+                else:
+                    yield source
 
-    def _render(self, source: _Source) -> RenderRecord:
+    def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
+        """The light of the scenes that the batched engine can render with the wanted error, by id."""
+        if self._engine is None or self.settings.bounces(self.dataset) != BOUNCES:
+            return {}
+        suited = [each for each in sources if suits(each.scene) and not self._is_edited(each)]
+        if not suited:
+            return {}
+        images = self._engine.images([source.scene for source in suited])
+        lights = (images.of(place) for place in range(len(suited)))
+        found = {source.scene.id: light for source, light in zip(suited, lights, strict=True)}
+        wanted = self._engine.error
+        return {scene_id: light for scene_id, light in found.items() if light.error <= wanted}
+
+    @cached_property
+    def _engine(self) -> BatchedLight | None:
+        """The batched engine, if the settings want it."""
+        options, size = self.settings.options, (self.layout.width, self.layout.height)
+        if not isinstance(options, BatchedOptions) or self.settings.wants_transients:
+            return None
+        return BatchedLight(self.frequencies_hz, *size, error=options.error, device=self.settings.device)
+
+    def _is_edited(self, source: _Source) -> bool:
+        return is_edited(self.dataset, source.scene.id, source.digest)
+
+    def _render(self, source: _Source, light: SceneLight | None) -> RenderRecord:
         scene_id = source.scene.id
         folder = self.dataset.render_folder(scene_id)
         recipe = self.settings.recipe(self.dataset, source.digest)
@@ -130,8 +174,11 @@ class Renderer:
         edited = edited_attributes(self.dataset, scene_id, source.digest)
         attributes = {**self._attributes(scene_id), **edited, "recipe": recipe}
         with whole_files(folder, before=forget) as stage:
-            measured = self._render_measurement(source, attributes, stage)
-            self._render_mirrored(source, attributes, stage)
+            if light is None:
+                measured = self._render_measurement(source, attributes, stage)
+                self._render_mirrored(source, attributes, stage)
+            else:
+                measured = self._write_light(source, light, attributes, stage)
         names = (*TRANSIENT_FILES, *IMAGE_FILES)
         files = {name: folder / name for name in names if (folder / name).is_file()}
         record = RenderRecord(
@@ -186,6 +233,22 @@ class Renderer:
         self._write(folder / MEASUREMENT_FILE, channels, attributes)
         return attributes
 
+    def _write_light(
+        self, source: _Source, light: SceneLight, attributes: dict[str, str], folder: Path
+    ) -> dict[str, str]:
+        """Write phasors and ground truth of the engine; return the attributes of these files."""
+        made = {"method": BatchedOptions.method, "hidden_error": f"{light.error:.3g}"}
+        attributes = {**attributes, **made, "seed": str(source.scene.seed)}
+        parts = {"itof": light.direct + light.hidden, "direct": light.direct, "hidden": light.hidden}
+        channels: dict[str, NDArray[np.float32]] = {}
+        for prefix, phasor in parts.items():
+            channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
+        self._write(folder / MEASUREMENT_FILE, channels, attributes)
+        depth_m = light.radial_depth_m.astype(np.float64)
+        truth = DepthMap.of_object(depth_m, depth_m > 0, self.frequencies_hz[0])
+        self._write(folder / GROUND_TRUTH_FILE, truth.channels(), attributes)
+        return attributes
+
     def _render_mirrored(self, source: _Source, attributes: dict[str, str], folder: Path) -> None:
         scene = source.scene
         mirrored = scene_from_data(mirrored_description(scene), source.files, source.folder)
@@ -236,10 +299,20 @@ class Renderer:
             **_versions(),
             "variant": self.variant,
             "scene_id": scene_id,
-            "method": self.settings.method,
+            "method": self._method.name,
             "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),
         }
+
+
+def _result(work: Callable[..., _Result], *arguments: Any) -> _Result | Exception:
+    """What a function returns, or its error; an error of the machine (`OSError`) is raised."""
+    try:
+        return work(*arguments)
+    except OSError:
+        raise
+    except Exception as error:  # of any kind: one bad scene must not stop the others
+        return error
 
 
 @cache

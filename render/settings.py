@@ -12,6 +12,7 @@ from itof import MOST_WRITTEN_BYTES, TransientLayout
 from render.backend import Device
 from render.options import (
     FINEST_EDGES,
+    BatchedOptions,
     ManyLightOptions,
     MethodOptions,
     option_names,
@@ -25,6 +26,7 @@ from scenegen.preset import MOST_BOUNCES
 Product = Literal["transient", "itof", "both"]
 EDGES_KEY = "edge_divisions"  # of a recipe
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
+_MOST_SCENES, _PIXELS_AT_ONCE, _USUAL_SIZE = 64, 2**20, (320, 240)  # of the batched engine
 _MOST_PIXELS = 2**26  # the ground truth traces the rays of all pixels at once
 # Copies of a row block in memory, as float32: bins and sum in float64, which count twice, and two in float32.
 _WORKING_COPIES = 6
@@ -72,6 +74,19 @@ class RenderSettings:
     def method(self) -> str:
         """Name of the rendering method."""
         return self.options.method
+
+    @property
+    def is_batched(self) -> bool:
+        """Whether phasors of many scenes are rendered at once, where the engine can."""
+        return isinstance(self.options, BatchedOptions) and not self.wants_transients
+
+    @property
+    def scenes_at_once(self) -> int:
+        """How many scenes a worker renders at once, at most."""
+        if not self.is_batched:
+            return 1
+        width, height = self.resolution or _USUAL_SIZE
+        return max(1, min(_MOST_SCENES, _PIXELS_AT_ONCE // (width * height)))
 
     @property
     def wants_transients(self) -> bool:
@@ -204,10 +219,23 @@ def settings_for(dataset: Dataset, given: dict[str, Any]) -> RenderSettings:
     others = {name: value for name, value in given.items() if name not in known}
     if {"lights", "error"} <= options.keys():
         raise RenderError("--lights gives the number of points, which --error would choose: leave one out")
-    method = others.pop("method", settings.method)
+    product = given.get("product", settings.product)
+    method = others.pop("method", None) or _usual_method(settings.method, product, options, before is None)
+    if method == BatchedOptions.method and product != "itof":
+        raise RenderError("method batched renders phasors only: give --product itof, or --method many-light")
     if options or method != settings.method:
+        if isinstance(settings.options, BatchedOptions) and method == ManyLightOptions.method and not options:
+            options = {"error": settings.options.error}
         others["options"] = options_of(method, options)
     return replace(settings, **others)
+
+
+def _usual_method(earlier: str, product: Product, options: dict[str, Any], is_first: bool) -> str:
+    """The method where none is given: that of the earlier run, if it suits; batched for first phasors."""
+    if product != "itof":
+        return ManyLightOptions.method if earlier == BatchedOptions.method else earlier
+    suits = is_first and set(options) <= {"error"}
+    return BatchedOptions.method if suits else earlier
 
 
 def _check_file_size(layout: TransientLayout) -> None:

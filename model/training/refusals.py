@@ -22,7 +22,7 @@ from scenegen import Dataset, Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
-MOST_BOUNCES: Final = 3  # of the batched engine
+_BOUNCES: Final = 3  # of the batched engine
 RESUME: Final = "go on with night-train --resume"
 GO_ON: Final = f"{RESUME}; the run keeps its last checkpoint"
 
@@ -112,8 +112,8 @@ def _fresh_problem(preset: Preset, settings: TrainSettings, meshes: Mapping[Shap
     bounces, paper = preset.transient.max_bounces, settings.augmentation.paper
     if settings.run.ground_truth != "geometry":
         return "fresh scenes have no simulated ground truth: take run.ground_truth=geometry"
-    if bounces != MOST_BOUNCES:
-        return f"fresh scenes have {MOST_BOUNCES} bounces, and the preset asks for {bounces}"
+    if bounces != _BOUNCES:
+        return f"fresh scenes have {_BOUNCES} bounces, and the preset asks for {bounces}"
     if not named <= set(meshes):
         return "the mesh files of fresh scenes are not known: give --fresh PRESET, also with --resume"
     if paper is not None and paper.copies_per_change:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from scenegen.scene import Scene
 from scenegen.shapes import PRIMITIVES, Shape
 from scenegen.unit_meshes import UnitMesh, unit_mesh
 
+BOUNCES: Final = 3  # of the light
+_LEAST_ROUGHNESS: Final = 0.05  # of a wall: film and lattice are too coarse for the gloss of smoother ones
 Phasors = NDArray[np.complex64]
 
 
@@ -34,6 +36,32 @@ class LightImages:
     hidden: Phasors
     radial_depth_m: NDArray[np.float32]
     error: NDArray[np.float64]
+
+    def of(self, scene: int) -> SceneLight:
+        """The light of one of the scenes."""
+        arrays = (self.direct[scene], self.hidden[scene], self.radial_depth_m[scene])
+        return SceneLight(*arrays, float(self.error[scene]))
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """The light of one scene, as that of N in `LightImages`."""
+
+    direct: Phasors
+    hidden: Phasors
+    radial_depth_m: NDArray[np.float32]
+    error: float
+
+
+def suits(scene: Scene) -> bool:
+    """Whether the engine can render a scene with three bounces: primitives, and a projector at the camera."""
+    camera, emitter, roughness = scene.camera, scene.emitter, scene.relay_wall.roughness
+    place = (camera.location_m, camera.rotation_deg, camera.horizontal_fov_deg)
+    return (
+        all(part.shape in PRIMITIVES for part in scene.hidden_objects)
+        and place == (emitter.location_m, emitter.rotation_deg, emitter.horizontal_fov_deg)
+        and (roughness is None or roughness >= _LEAST_ROUGHNESS)
+    )
 
 
 class BatchedLight:
@@ -66,7 +94,7 @@ class BatchedLight:
     ) -> None:
         import drjit as dr
 
-        self.frequencies_hz, self.size = tuple(frequencies_hz), (width, height)
+        self.frequencies_hz, self.size, self.error = tuple(frequencies_hz), (width, height), error
         known = {shape: unit_mesh(shape) for shape in PRIMITIVES} | dict(meshes or {})
         self._hidden = HiddenRatios(known, width, height, error)
         variant = select_variant(device)

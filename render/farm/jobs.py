@@ -1,4 +1,4 @@
-"""One scene as a job: what a worker process does, and what it answers.
+"""Some scenes as a job: what a worker process does, and what it answers.
 
 An error in a scene is returned as an answer and not raised, so an exception from Dask always means that the
 worker died or cannot take jobs. An error of the machine (a full disk, no device) stops the whole run.
@@ -13,7 +13,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from errno import EDQUOT, ENOSPC, EROFS
 from importlib.metadata import version
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from disk import NightError
-from render.farm.claims import claimed
+from render.farm.claims import Claim, claimed
 from render.farm.inventory import Inventory
 from render.rendering import Renderer
 from render.settings import RenderSettings
@@ -39,13 +39,13 @@ _state: dict[str, Any] = {}  # of this worker process: its renderer, and its mem
 
 @dataclass(frozen=True)
 class Job:
-    """A scene to render.
+    """Scenes to render, mostly one.
 
     Attributes
     ----------
     root : folder of the dataset.
     settings : how to render.
-    scene_id : which scene.
+    scene_ids : which scenes.
     run_id : which run the job belongs to.
     given_up_counts : whether a failure that another command has recorded is the answer to this job.
     growth_bytes : memory that the worker may grow by before it is replaced.
@@ -54,7 +54,7 @@ class Job:
 
     root: str
     settings: RenderSettings
-    scene_id: str
+    scene_ids: tuple[str, ...]
     run_id: str
     given_up_counts: bool = False
     growth_bytes: int = GROWTH_BYTES
@@ -63,7 +63,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The answer to a job.
+    """The answer about a scene of a job.
 
     Attributes
     ----------
@@ -89,12 +89,11 @@ class Outcome:
     grown: str = ""
 
 
-def render_scene(job: Job) -> Outcome:
-    """Render the scene of a job, unless it is rendered or another process is rendering it."""
+def render_scenes(job: Job) -> list[Outcome]:
+    """Render the scenes of a job that are not rendered yet and that no other process is rendering."""
     if job.night_version != version("night-nlos"):
-        return Outcome(
-            job.scene_id,
-            "stop",
+        return _stopped(
+            job,
             f"a worker has NIGHT {version('night-nlos')} and this command has {job.night_version}: "
             "install the same version on both machines",
         )
@@ -102,45 +101,75 @@ def render_scene(job: Job) -> Outcome:
         try:
             renderer, inventory = _workshop(job)
         except (NightError, OSError) as error:
-            return Outcome(job.scene_id, "stop", _on_host(error))
+            return _stopped(job, _on_host(error))
         try:
-            outcome = _render(job, renderer, inventory)
+            outcomes = _render(job, renderer, inventory)
         except OSError as error:
-            hopeless = error.errno in _HOPELESS or _is_full(Path(job.root))
             reason = f"{error.filename or job.root}: {error.strerror or error}"
-            if hopeless:
-                reason = f"no space left for scene {job.scene_id} ({reason}): free some space and start again"
-            return Outcome(job.scene_id, "stop" if hopeless else "failed", reason, traceback.format_exc())
+            if error.errno in _HOPELESS or _is_full(Path(job.root)):
+                names = ", ".join(job.scene_ids[:1])
+                return _stopped(
+                    job, f"no space left for scene {names} ({reason}): free some space and start again"
+                )
+            return [Outcome(each, "failed", reason, traceback.format_exc()) for each in job.scene_ids]
         except Exception as error:  # of any kind: one bad scene must not end the run
-            reason = " ".join(str(error).split()).removeprefix(f"scene {job.scene_id}: ")
-            reason = reason or type(error).__name__
-            return Outcome(job.scene_id, "failed", reason, traceback.format_exc())
-        return replace(outcome, grown=_grown(job.growth_bytes))
+            return [_failed(each, error) for each in job.scene_ids]
+        return [replace(outcomes[0], grown=_grown(job.growth_bytes)), *outcomes[1:]]
 
 
-def _render(job: Job, renderer: Renderer, inventory: Inventory) -> Outcome:
-    with claimed(renderer.dataset.renders, job.scene_id) as claim:
-        if claim is None:
-            return Outcome(job.scene_id, "elsewhere")
-        state = inventory.state(job.scene_id)
-        if state == "done":
-            claim.forget()
-            return Outcome(job.scene_id, "present")
-        failure = read_failure(renderer.dataset.render_folder(job.scene_id))
-        if job.given_up_counts and state == "failed" and failure is not None:
-            return Outcome(job.scene_id, "failed", failure.reason, final=True)
-        if claim.begin(job.run_id) > MAX_ATTEMPTS:  # the scheduler sent it again after its worker died
-            return Outcome(
-                job.scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times while it rendered this scene"
-            )
+def _stopped(job: Job, reason: str) -> list[Outcome]:
+    return [Outcome(job.scene_ids[0], "stop", reason)]
+
+
+def _failed(scene_id: str, error: Exception) -> Outcome:
+    reason = " ".join(str(error).split()).removeprefix(f"scene {scene_id}: ")
+    text = "".join(traceback.format_exception(error))
+    return Outcome(scene_id, "failed", reason or type(error).__name__, text)
+
+
+def _render(job: Job, renderer: Renderer, inventory: Inventory) -> list[Outcome]:
+    with ExitStack() as stack:
+        claims: dict[str, Claim] = {}
+        outcomes: list[Outcome] = []
+        for scene_id in job.scene_ids:
+            claim = stack.enter_context(claimed(renderer.dataset.renders, scene_id))
+            known = _known(job, scene_id, claim, renderer, inventory)
+            if known is not None or claim is None:
+                outcomes.append(known or Outcome(scene_id, "elsewhere"))
+            else:
+                claims[scene_id] = claim
         started = time.perf_counter()
         with _collected_warnings() as warnings:
-            record = renderer.render(job.scene_id)
+            for scene_id, result in zip(claims, renderer.render_all(list(claims)), strict=True):
+                if isinstance(result, Exception):
+                    outcomes.append(_failed(scene_id, result))
+                    continue
+                claims[scene_id].forget()
+                seconds, started = time.perf_counter() - started, time.perf_counter()
+                text, attributes = "\n".join(warnings), result.attributes
+                outcomes.append(Outcome(scene_id, "rendered", "", text, seconds, attributes))
+                warnings.clear()
+        return outcomes
+
+
+def _known(
+    job: Job, scene_id: str, claim: Claim | None, renderer: Renderer, inventory: Inventory
+) -> Outcome | None:
+    """The answer about a scene that this job does not render; None if it renders it, and has begun."""
+    if claim is None:
+        return Outcome(scene_id, "elsewhere")
+    state = inventory.state(scene_id)
+    if state == "done":
         claim.forget()
-        seconds = time.perf_counter() - started
+        return Outcome(scene_id, "present")
+    failure = read_failure(renderer.dataset.render_folder(scene_id))
+    if job.given_up_counts and state == "failed" and failure is not None:
+        return Outcome(scene_id, "failed", failure.reason, final=True)
+    if claim.begin(job.run_id) > MAX_ATTEMPTS:  # the scheduler sent it again after its worker died
         return Outcome(
-            job.scene_id, "rendered", log="\n".join(warnings), seconds=seconds, attributes=record.attributes
+            scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times while it rendered this scene"
         )
+    return None
 
 
 def _workshop(job: Job) -> tuple[Renderer, Inventory]:

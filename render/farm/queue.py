@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from disk import NightError
 from render.farm.claims import attempts_of, claimed
 from render.farm.inventory import Inventory, known_recipe
-from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scene
+from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scenes
 from render.farm.submissions import Submissions
 from render.settings import RenderSettings
 from scenegen import Dataset, FailureRecord, read_record, write_failure
@@ -74,7 +74,7 @@ class RenderQueue:
     growth_bytes: int = GROWTH_BYTES
     patience_s: float | None = PATIENCE_S
     submissions: Submissions = field(default_factory=Submissions)
-    work: Callable[[Job], Outcome] = render_scene
+    work: Callable[[Job], list[Outcome]] = render_scenes
     tally: Tally = field(default_factory=Tally)
     _warned_of: float = -1.0  # time since when there was no worker, at the last warning
 
@@ -87,7 +87,7 @@ class RenderQueue:
         """
         waiting, elsewhere = deque(scenes), deque[str]()
         answers: threads_queue.SimpleQueue[Future] = threads_queue.SimpleQueue()
-        active: dict[Future, str] = {}
+        active: dict[Future, tuple[str, ...]] = {}
         failed, returned = _Failures(), set[str]()
         idle_since = counted = time.monotonic()
         slots = self._slots()
@@ -95,9 +95,9 @@ class RenderQueue:
             if time.monotonic() - counted > _COUNT_S:  # counting takes longer than giving out a job
                 slots, counted = self._slots(), time.monotonic()
             while waiting and len(active) < slots:
-                scene_id = waiting.popleft()
-                future = self._submit(scene_id, scene_id in returned)
-                active[future] = scene_id
+                scene_ids = self._next(waiting, slots, returned | failed.known)
+                future = self._submit(scene_ids, scene_ids[0] in returned)
+                active[future] = scene_ids
                 future.add_done_callback(answers.put)
             if not waiting and not active:
                 time.sleep(_WAIT_S)
@@ -109,30 +109,41 @@ class RenderQueue:
             except threads_queue.Empty:
                 idle_since = self._checked_idle(idle_since)
                 continue
-            scene_id = active.pop(future)
+            scene_ids = active.pop(future)
             idle_since = time.monotonic()
-            outcome = self._answer(future, scene_id, failed)
-            if outcome.grown:
-                self._renew(outcome.grown)
-            if outcome.kind == "stop":
-                raise QueueError(outcome.reason)
-            if outcome.kind == "elsewhere":
-                elsewhere.append(scene_id)
-            elif outcome.kind == "failed" and not self._is_final(outcome, failed):
-                self.on_outcome(outcome, False)
-                waiting.append(scene_id)
-                slots, counted = self._slots(), time.monotonic()  # its worker may have died
-            else:
-                self._settle(outcome, failed)
+            for outcome in self._answers(future, scene_ids, failed):
+                if outcome.grown:
+                    self._renew(outcome.grown)
+                if outcome.kind == "stop":
+                    raise QueueError(outcome.reason)
+                if outcome.kind == "elsewhere":
+                    elsewhere.append(outcome.scene_id)
+                elif outcome.kind == "failed" and not self._is_final(outcome, failed):
+                    self.on_outcome(outcome, False)
+                    waiting.append(outcome.scene_id)
+                    slots, counted = self._slots(), time.monotonic()  # its worker may have died
+                else:
+                    self._settle(outcome, failed)
         return self.tally
 
-    def _submit(self, scene_id: str, returned: bool) -> Future:
+    def _next(self, waiting: deque[str], slots: int, alone: set[str]) -> tuple[str, ...]:
+        """The scenes of the next job: as many as are rendered at once, but some for every worker.
+
+        A scene in `alone`, which failed before or was in the hands of another process, is a job of its own.
+        """
+        scene_ids = [waiting.popleft()]
+        count = min(self.settings.scenes_at_once, -(-len(waiting) // slots))
+        while len(scene_ids) < count and waiting and not {scene_ids[0], waiting[0]} & alone:
+            scene_ids.append(waiting.popleft())
+        return tuple(scene_ids)
+
+    def _submit(self, scene_ids: tuple[str, ...], returned: bool) -> Future:
         root = str(self.dataset.root.resolve())
-        job = Job(root, self.settings, scene_id, self.run_id, returned, self.growth_bytes)
+        job = Job(root, self.settings, scene_ids, self.run_id, returned, self.growth_bytes)
         return self.client.submit(self.work, job, pure=False, retries=0)
 
     def _slots(self) -> int:
-        """How many jobs may be active: one per worker process, which renders one scene at a time."""
+        """How many jobs may be active: one per worker process, which does one at a time."""
         return max(1, self._workers())
 
     def _workers(self) -> int:
@@ -168,28 +179,33 @@ class RenderQueue:
             )
         return since
 
-    def _answer(self, future: Future, scene_id: str, failed: _Failures) -> Outcome:
+    def _answers(self, future: Future, scene_ids: tuple[str, ...], failed: _Failures) -> list[Outcome]:
         from distributed import KilledWorker
 
         try:
-            outcome: Outcome = future.result()
+            outcomes: list[Outcome] = future.result()
         except KilledWorker as error:
             where = getattr(error.last_worker, "address", "")
-            if (done := self._done_before_death(scene_id, where)) is not None:
-                return done
-            failed.deaths[scene_id] += 1
-            reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
-            return Outcome(scene_id, "failed", reason, f"{error}\n", worker=where)
+            return [self._after_death(scene_id, where, str(error), failed) for scene_id in scene_ids]
         except CancelledError:
-            return Outcome(scene_id, "stop", _LOST)
+            return [Outcome(scene_ids[0], "stop", _LOST)]
         except Exception as error:  # of any kind: from a worker without NIGHT, or from Dask itself
             what = " ".join(str(error).split()) or type(error).__name__
             reason = f"the workers cannot take jobs ({what}): install the same NIGHT where they run"
-            return Outcome(scene_id, "stop", reason)
+            return [Outcome(scene_ids[0], "stop", reason)]
         finally:
             future.release()
-        failed.answers[scene_id] += outcome.kind == "failed"
-        return outcome
+        for outcome in outcomes:
+            failed.answers[outcome.scene_id] += outcome.kind == "failed"
+        return outcomes
+
+    def _after_death(self, scene_id: str, worker: str, text: str, failed: _Failures) -> Outcome:
+        """The answer about a scene of a worker that died."""
+        if (done := self._done_before_death(scene_id, worker)) is not None:
+            return done
+        failed.deaths[scene_id] += 1
+        reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
+        return Outcome(scene_id, "failed", reason, f"{text}\n", worker=worker)
 
     def _done_before_death(self, scene_id: str, worker: str) -> Outcome | None:
         """The answer for a worker that died after it had written all files of the scene; None if it had not.
@@ -243,3 +259,8 @@ class _Failures:
 
     answers: Counter[str] = field(default_factory=Counter)
     deaths: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def known(self) -> set[str]:
+        """The scenes that failed."""
+        return {*self.answers, *self.deaths}

@@ -111,11 +111,11 @@ def test_a_dataset_deleted_while_a_file_is_written_is_not_taken_for_a_full_disk(
     monkeypatch.setattr(rendering, "write_image", delete_and_write)
     monkeypatch.setattr(jobs, "_state", {})
     settings = RenderSettings(options=ManyLightOptions(error=0.05), device="cpu")
-    job = jobs.Job(str(three_missing), settings, "000004", run_id="a")
-    outcome = jobs.render_scene(job)
+    job = jobs.Job(str(three_missing), settings, ("000004",), run_id="a")
+    (outcome,) = jobs.render_scenes(job)
     assert outcome.kind == "failed"
     assert "No such file or directory" in outcome.reason
-    after = jobs.render_scene(replace(job, scene_id="000005"))
+    (after,) = jobs.render_scenes(replace(job, scene_ids=("000005",)))
     assert after.kind == "stop"
     assert "is no dataset" in after.reason
 

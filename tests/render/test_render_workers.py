@@ -23,7 +23,7 @@ from render_runs import (
 )
 
 from render.farm.clusters import connected
-from render.farm.jobs import Outcome, render_scene
+from render.farm.jobs import Outcome, render_scenes
 from render.farm.queue import RenderQueue
 from render.farm.run import RunOptions, render_dataset
 from render.options import ManyLightOptions
@@ -153,7 +153,7 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
 @pytest.mark.long
 def test_a_worker_killed_after_a_scene_and_before_its_answer_has_rendered_it(three_missing, seven_renders):
     def killed_before_the_answer(job):
-        render_scene(job)
+        render_scenes(job)
         os.kill(os.getpid(), signal.SIGKILL)
 
     dataset = open_dataset(three_missing)
@@ -182,7 +182,7 @@ def test_attempts_are_those_that_began(three_missing, tmp_path):
         if not died.exists():
             died.touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        return Outcome(job.scene_id, "failed", "the scene is bad")
+        return [Outcome(each, "failed", "the scene is bad") for each in job.scene_ids]
 
     dataset = open_dataset(three_missing)
     settings = RenderSettings(product="both", options=ManyLightOptions(error=0.05), device="cpu")
