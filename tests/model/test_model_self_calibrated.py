@@ -81,7 +81,8 @@ def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch)
     assert rows.reference.nbytes == 12 * maker.reference_bytes
     assert torch.equal(rows.take([3, 11]).reference, rows.reference[[3, 11]])
     assert torch.equal(rows.take([3]).joined(rows.take([11])).reference, rows.reference[[3, 11]])
-    plain = torch.from_numpy(predictor._channels(rows.phasors.numpy(), predictor.wall))
+    phasors, inputs = rows.phasors, maker.inputs
+    plain = inputs.apply(phasors, inputs.reference_of_image(phasors, maker.wall), is_weighted=True)
     # complex64: 1e-7 of 1, divided by the residual's scale of 3e-4
     torch.testing.assert_close(maker.batch(rows).channels, plain, rtol=0, atol=5e-4)
 
