@@ -5,12 +5,12 @@ Arrays may be of numpy or of any other library that supports the array API stand
 
 from __future__ import annotations
 
+import math
 from types import ModuleType
 from typing import Literal, get_args
 
-from array_api_compat import array_namespace
-
 from itof.arrays import A, Array, PhasorsOf, PixelsOf
+from itof.frequency_images import LARGEST_RATIO, FrequencyImages, Slopes, dot, slopes
 
 SubpixelWeights = Literal["measured", "uniform"]
 # Neighbours that differ in brightness by more than this factor belong to different surfaces: the edge of a
@@ -47,13 +47,20 @@ def weighted_reference(reference: PhasorsOf[A], amplitude: PixelsOf[Array]) -> P
     -------
     (..., H, W, F) complex, in the unit of `reference`.
     """
-    xp = array_namespace(reference)
-    brightness = quotient(xp, xp.asarray(amplitude), xp.abs(reference[..., 0]))  # (..., H, W)
-    change = xp.zeros_like(reference)
-    for axis in (-1, -2):
-        along = log_slope(xp, brightness, axis, _EDGE)[..., None]  # (..., H, W, 1)
-        change = change + along * log_slope(xp, reference, axis - 1)  # (..., H, W, F)
-    return reference * (1 + change / 12)
+    images = FrequencyImages.of(reference)
+    xp = images.xp
+    seen = xp.astype(xp.asarray(amplitude), images.real.dtype)[..., None, :, :]  # (..., 1, H, W)
+    weights = brightness_slopes(images.first, FrequencyImages(xp, seen, xp.zeros_like(seen)))
+    log_amplitude = slopes(xp, images.log_amplitude, LARGEST_RATIO)
+    phase = xp.where(images.log_amplitude > -LARGEST_RATIO, images.phase, 1e3)
+    phase = slopes(xp, phase, 10.0, period=2 * math.pi)
+    real, imaginary = (dot(weights, each) / 12 for each in (log_amplitude, phase))
+    return images.times(1 + real, imaginary)
+
+
+def brightness_slopes(reference: FrequencyImages[A], seen: FrequencyImages[A]) -> Slopes[A]:
+    """s, the gradient of a wall's log brightness, from images (..., 1, H, W) at the first frequency."""
+    return slopes(reference.xp, seen.log_amplitude - reference.log_amplitude, math.log(_EDGE))
 
 
 def quotient(xp: ModuleType, dividend: A, divisor: Array) -> A:
@@ -67,51 +74,3 @@ def check_weights(weights: str) -> None:
     """Refuse anything but the names of `SubpixelWeights`."""
     if weights not in get_args(SubpixelWeights):
         raise ValueError(f"subpixel weights are {' or '.join(get_args(SubpixelWeights))}, got {weights!r}")
-
-
-def log_slope(xp: ModuleType, values: A, axis: int, largest_ratio: float | None = None) -> A:
-    """Gradient of log(values) along an axis, per pixel; 0 where no neighbour can be compared.
-
-    Neighbours are compared if both are not 0 and their ratio is at most `largest_ratio`. All differences are
-    of second order where there are enough neighbours.
-    """
-    v = xp.moveaxis(values, axis, -1)
-    ratio = quotient(xp, v[..., 1:], v[..., :-1])  # (..., n - 1)
-    known = ratio != 0
-    step = _log(xp, xp.where(known, ratio, xp.ones_like(ratio)))
-    if largest_ratio is not None:
-        known = known & (xp.exp(xp.abs(step)) <= largest_ratio)
-    of_all = v.shape[-1] > 2 and bool(xp.all(known))
-    slope = _slope_of_all(xp, step) if of_all else _slope_of_some(xp, step, known, xp.zeros_like(v[..., :1]))
-    return xp.moveaxis(slope, -1, axis)
-
-
-def _log(xp: ModuleType, values: A) -> A:
-    """Logarithm of real or complex numbers; PyTorch's complex one takes twice the time of its two parts."""
-    if not xp.isdtype(values.dtype, "complex floating"):
-        return xp.log(values)
-    return xp.log(xp.abs(values)) + 1j * xp.atan2(xp.imag(values), xp.real(values))
-
-
-def _slope_of_all(xp: ModuleType, step: A) -> A:
-    """As `_slope_of_some`, and faster, where all of at least two steps are known."""
-    first = step[..., :1] - (step[..., 1:2] - step[..., :1]) / 2
-    last = step[..., -1:] + (step[..., -1:] - step[..., -2:-1]) / 2
-    return xp.concat([first, (step[..., :-1] + step[..., 1:]) / 2, last], axis=-1)
-
-
-def _slope_of_some(xp: ModuleType, step: A, known: Array, none: A) -> A:
-    """(..., n) slopes of (..., n - 1) steps between neighbours, of which only some are known.
-
-    `none` is (..., 1) zeros.
-    """
-    unknown = xp.zeros_like(none, dtype=xp.bool)
-    before, after = (xp.concat(pair, axis=-1) for pair in ([none, step], [step, none]))  # (..., n)
-    has_before, has_after = (xp.concat(pair, axis=-1) for pair in ([unknown, known], [known, unknown]))
-    bend = xp.where(has_before & has_after, after - before, xp.zeros_like(before))
-    bend_before, bend_after = (
-        xp.concat(pair, axis=-1) for pair in ([none, bend[..., :-1]], [bend[..., 1:], none])
-    )
-    one_sided = xp.where(has_after, after - bend_after / 2, before + bend_before / 2)
-    slope = xp.where(has_before & has_after, (before + after) / 2, one_sided)
-    return xp.where(has_before | has_after, slope, xp.zeros_like(before))

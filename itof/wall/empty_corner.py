@@ -14,17 +14,17 @@ from typing import Final
 import numpy as np
 
 from itof.arrays import Floats, Phasors
+from itof.frequency_images import frequencies_first
 from itof.wall.expected_wall import (
     ExpectedWall,
     angle_deg,
     distance_m,
-    radial_depth_of_plane,
     strength_elsewhere,
 )
 from itof.wall.robust_solution import covariance
 from itof.wall.self_calibration import calibrate, phases_over
 from itof.wall.wall_fit import WallFit
-from itof.wall.wall_phases import Residual, by_frequency
+from itof.wall.wall_phases import Residual, WallRays, by_pixel
 
 _LARGEST_ERROR_M: Final = 0.01  # as much as a tape measure's
 _EDGE_RAD: Final = 0.5  # a pixel that is farther off does not see the wall
@@ -122,7 +122,7 @@ def _error_m(corner: Phasors, fit: WallFit, wall: ExpectedWall) -> float:
     if np.count_nonzero(good) < 3 + 3 * left.shape[-1]:
         return float("inf")
     depth_m = 1 / np.where(good, inverse.reshape(-1), 1.0)
-    left = by_frequency(problem.xp, left)  # (F, n)
+    left = by_pixel(problem.xp, frequencies_first(problem.xp, left))  # (F, n)
     weight = np.broadcast_to(good * np.abs(wall.direct[..., 0]).reshape(-1) ** 2, left.shape)
     of_unknowns = covariance(problem, Residual(left, depth_m, good), weight, weight * left)[:3, :3]
     of_distance = problem.pixels.tangent(depth_m)[:, good]
@@ -146,6 +146,7 @@ def captured_wall(corner: Phasors, wall: ExpectedWall) -> ExpectedWall:
     found, captured = find_wall([corner], wall), wall.captured(corner)
     if not found.is_certain:
         return captured
-    depth_m = radial_depth_of_plane(wall.rays, found.plane_per_m)
-    share = strength_elsewhere(wall.radial_depth_m, depth_m)
+    pixels = WallRays.of(wall)
+    depth_m, meets = pixels.depth_m(found.plane_per_m)
+    share = (strength_elsewhere(pixels.expected_depth_m, depth_m) * meets).reshape(wall.meets.shape)
     return replace(captured, plane_per_m=found.plane_per_m, strength=captured.strength * share)

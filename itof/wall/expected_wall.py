@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import ModuleType
 from typing import Generic
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from itof.arrays import A, B, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.direct import direct_phasors
+from itof.frequency_images import LARGEST_RATIO, FrequencyImages, Slopes, frequencies_first, slopes
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 
@@ -151,7 +153,32 @@ class ExpectedWall(Generic[A]):
     @cached_property
     def radial_depth_m(self) -> PixelsOf[A]:
         """(H, W) L_0, metres along the ray; infinite where a ray misses the wall."""
-        return radial_depth_of_plane(self.rays, self.plane_per_m)
+        xp = array_namespace(self.rays)
+        return radial_depth_of_plane(xp.moveaxis(self.rays_by_axis, -3, -1), self.plane_per_m)
+
+    @cached_property
+    def rays_by_axis(self) -> A:
+        """(3, H, W) `rays`, contiguous, which makes arithmetic on them faster."""
+        return frequencies_first(array_namespace(self.rays), self.rays)
+
+    @cached_property
+    def images(self) -> FrequencyImages[A]:
+        """`direct`, each frequency as an image of its own."""
+        return FrequencyImages.of(self.direct)
+
+    @cached_property
+    def meets(self) -> PixelsOf[A]:
+        """(H, W) whether a ray meets the wall."""
+        xp = array_namespace(self.rays)
+        return xp.isfinite(self.radial_depth_m)
+
+    @cached_property
+    def slopes(self) -> tuple[Slopes[A], Slopes[A]]:
+        """Gradients per pixel of log amplitude, at the first frequency, and of L_0; arrays (1, H, W)."""
+        first = self.images.first
+        xp, depth_m = first.xp, self.radial_depth_m[..., None, :, :]
+        depth_m = xp.astype(xp.clip(depth_m, max=3 * _FARTHEST_M), first.real.dtype)
+        return slopes(xp, first.log_amplitude, LARGEST_RATIO), slopes(xp, depth_m, _FARTHEST_M)
 
     @cached_property
     def slope(self) -> Floats:
@@ -162,14 +189,12 @@ class ExpectedWall(Generic[A]):
 def strength_elsewhere(expected_depth_m: A, depth_m: A) -> A:
     """Brightness of a diffuse wall along a ray over that of the expected wall: (L_0 / L)³, as cos / L² goes.
 
-    Arrays of numpy or of another library of the array API, metres, which broadcast; 0 or infinite where a ray
-    misses the wall, and there the result is 0. A wall at less than half of the expected distance counts as
-    being there.
+    Arrays of numpy or of another library of the array API, metres, finite. A wall at less than half of the
+    expected distance counts as being there.
     """
     xp = array_namespace(depth_m)
-    meets = xp.isfinite(depth_m) & (depth_m > 0) & xp.isfinite(expected_depth_m)
-    share = xp.where(meets, expected_depth_m, 0.0) / xp.where(meets, depth_m, 1.0)
-    return xp.clip(share, min=0.0, max=_NEAREST) ** 3
+    share = xp.clip(expected_depth_m / depth_m, max=_NEAREST)
+    return share * share * share
 
 
 def radial_depth_of_plane(rays: A, plane_per_m: A) -> A:
@@ -179,14 +204,19 @@ def radial_depth_of_plane(rays: A, plane_per_m: A) -> A:
     rays must be (n, 3), or (..., n, 3) with rays of its own for each plane.
     """
     xp = array_namespace(rays, plane_per_m)
-    if plane_per_m.ndim == 1:
-        inverse = rays @ plane_per_m
-    elif rays.ndim == 2:
-        inverse = plane_per_m @ xp.matrix_transpose(rays)
-    else:
-        inverse = xp.sum(rays * plane_per_m[..., None, :], axis=-1)
-    ahead = inverse > 1 / _FARTHEST_M
-    return xp.where(ahead, 1 / xp.where(ahead, inverse, 1.0), xp.inf)
+    return depth_or_else(xp, inverse_depth_of_plane(rays, plane_per_m), xp.inf)[0]
+
+
+def depth_or_else(xp: ModuleType, inverse_per_m: A, other_m: A | float) -> tuple[A, A]:
+    """Distance of a plane, metres, or `other_m` where a ray misses it; and whether a ray meets it."""
+    meets = inverse_per_m > 1 / _FARTHEST_M
+    return xp.where(meets, 1 / xp.where(meets, inverse_per_m, 1.0), other_m), meets
+
+
+def inverse_depth_of_plane(rays: A, plane_per_m: A) -> A:
+    """m · r, as in `radial_depth_of_plane`, 1/m; elementwise, so with the same bits beside other planes."""
+    x, y, z = (rays[..., axis] * plane_per_m[..., axis, None] for axis in range(3))
+    return x + y + z
 
 
 def distance_m(plane_per_m: Floats) -> float:

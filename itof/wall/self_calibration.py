@@ -8,6 +8,9 @@ depend on the brightness of the measurement, so the lost dimensions are the same
 those of the wall where it is, not where it was expected. Only pixels that are off by more than about 0.1 rad,
 because they do not see the wall, lose their weight step by step (Tukey's biweight with a falling width, of
 the frequency that fits worst).
+
+The first steps have some hundred pixels, the last one has all. It starts so near that the gradient of the
+weighted squares of all pixels is then nearly 0.
 """
 
 from __future__ import annotations
@@ -18,21 +21,29 @@ from typing import Final
 from array_api_compat import array_namespace, device
 
 from itof.arrays import A, Array, PhasorsOf
+from itof.frequency_images import FrequencyImages, Slopes
 from itof.other_surfaces import ELSEWHERE_RAD
 from itof.wall.expected_wall import ExpectedWall, strength_elsewhere
+from itof.wall.turned_reference import brightness_of_wall, weighted_path
 from itof.wall.wall_fit import WallFit
-from itof.wall.wall_phases import Residual, WallPhases, WallRays, by_frequency, four_cycles, phases_of
-from itof.weighted_reference import quotient, weighted_reference
+from itof.wall.wall_phases import Residual, WallPhases, WallRays, by_pixel, four_cycles
 
-# Widths of the biweight in radians, one per step. With the first, a wall 0.4 m off at 60 MHz counts. With the
-# last, a pixel with 45 mrad of hidden light has the weight 0.94; 99.9 % of those in the paper's have less.
-_WIDTHS_RAD: Final = (2.0, 0.7, *(ELSEWHERE_RAD,) * 3)
+# Widths of the biweight in radians, one per step; the last step has all pixels. With the first, a wall 0.4 m
+# off at 60 MHz counts. With the last, a pixel with 45 mrad of hidden light has the weight 0.94; 99.9 % of
+# those in the paper's have less.
+_WIDTHS_RAD: Final = (2.0, 2.0, 0.7, *(ELSEWHERE_RAD,) * 3)
+_FIRST_PIXELS: Final = 600  # of all steps but the last, evenly spread; about so many
 _RIDGE: Final = 1e-12  # of the normal matrix with a unit diagonal: an unknown that no pixel shows stays 0
 _DARKEST: Final = 1e-300  # of a wall without any return, which then has no weight
 
 
 def calibrate(
-    phasor: PhasorsOf[A], wall: ExpectedWall[A], *, wiggling: bool = False, start_per_m: Array | None = None
+    phasor: PhasorsOf[A],
+    wall: ExpectedWall[A],
+    *,
+    wiggling: bool = False,
+    start_per_m: Array | None = None,
+    weights: Slopes[A] | None = None,
 ) -> WallFit[A]:
     """Fit plane, phase offsets and, with `wiggling`, the four-cycle error to each image.
 
@@ -43,52 +54,63 @@ def calibrate(
         capture of the empty corner (`ExpectedWall.captured`).
     start_per_m : (..., 3) plane to start from; by default the expected one, which must be right to about
         c / 8f. `itof.wall.wall_search.plane_from_nothing` finds another one.
+    weights : `brightness_of_wall` of the images, if it is known.
 
     A wall of N cameras (`ExpectedWall.stacked`) is for N images (N, H, W, F), one each.
 
     An image that shows no wall keeps the plane and the offsets that it started with, or nearly so.
     """
     xp = array_namespace(phasor)
-    problem = phases_over(phasor, wall, wiggling=wiggling)
+    problem = phases_over(phasor, wall, wiggling=wiggling, weights=weights)
+    # An odd distance takes other columns in each row.
+    few = problem.thinned(2 * (problem.phases.shape[-1] // (2 * _FIRST_PIXELS)) + 1)
     start = wall.plane_per_m if start_per_m is None else start_per_m
     plane = xp.broadcast_to(xp.astype(start, xp.float64), (*phasor.shape[:-3], 3))
-    local = problem.first_guess(plane)
-    for width_rad in _WIDTHS_RAD:
-        residual = problem.residual(plane, local)
-        change = _solved(xp, *problem.normal_equations(residual, _weight(problem, residual, width_rad)))
+    local = few.first_guess(plane)
+    for step, width_rad in enumerate(_WIDTHS_RAD, 1):
+        pixels = problem if step == len(_WIDTHS_RAD) else few
+        residual = pixels.residual(plane, local)
+        change = _solved(xp, *pixels.normal_equations(residual, _weight(pixels, residual, width_rad)))
         plane, local = plane + change[..., :3], local + xp.reshape(change[..., 3:], tuple(local.shape))
-    plane, local = (xp.where(xp.isfinite(each), each, xp.zeros_like(each)) for each in (plane, local))
+    plane, local = (xp.where(xp.isfinite(each), each, 0.0) for each in (plane, local))
     return WallFit(plane, local[..., 0], local[..., 1:] if wiggling else None)
 
 
-def phases_over(phasor: PhasorsOf[A], wall: ExpectedWall[A], *, wiggling: bool) -> WallPhases[A]:
+def phases_over(
+    phasor: PhasorsOf[A], wall: ExpectedWall[A], *, wiggling: bool, weights: Slopes[A] | None = None
+) -> WallPhases[A]:
     """The phases of images (..., H, W, F) over those of the expected wall, with a diffuse wall's weights."""
-    xp = array_namespace(phasor)
-    known = weighted_reference(wall.direct, xp.abs(phasor[..., 0]))
-    ratio = phasor * xp.conj(quotient(xp, known, xp.abs(known)))  # (..., H, W, F)
-    ratio, measured = (by_frequency(xp, each) for each in (ratio, phasor))
-    phases = phases_of(xp, ratio)
-    pixels = WallRays.of(xp, wall)
-    lit = xp.all(ratio != 0, axis=-2, keepdims=True) & pixels.meets[..., None, :]  # (..., 1, n)
-    strength = xp.reshape(xp.astype(wall.fit_strength, xp.float64), pixels.meets.shape)[..., None, :]
+    images, known, pixels = FrequencyImages.of(phasor), wall.images, WallRays.of(wall)
+    xp = images.xp
+    alpha, path_m = weighted_path(wall, brightness_of_wall(phasor, wall) if weights is None else weights)
+    phases = by_pixel(
+        xp, images.phase - known.phase - path_m / alpha * pixels.slope[..., None]
+    )  # (..., F, n)
+    lit = by_pixel(xp, images.lit & known.lit & wall.meets)[..., None, :]  # (..., 1, n)
+    strength = by_pixel(xp, xp.astype(wall.fit_strength, xp.float64))[..., None, :]  # (..., 1, n)
     strongest = xp.max(strength, axis=-1, keepdims=True)
+    ones = xp.ones_like(phases[..., :1, :], dtype=xp.float64)
+    basis = [ones]
+    if wiggling:
+        waves = [xp.astype(by_pixel(xp, wave), xp.float64) for wave in four_cycles(images)]
+        basis = [xp.broadcast_to(ones, phases.shape), *waves]
     return WallPhases(
         xp,
         pixels,
         phases,
-        xp.stack([xp.ones_like(phases), *(four_cycles(xp, measured) if wiggling else ())], axis=-2),
+        xp.stack(basis, axis=-2),
         (strength / xp.clip(strongest, min=_DARKEST)) ** 2 * xp.astype(lit, xp.float64),
     )
 
 
 def _weight(problem: WallPhases[A], residual: Residual[A], width_rad: float) -> A:
-    """(..., F, n) weights of a diffuse wall in the fitted plane, less where a pixel does not see it."""
+    """(..., 1, n) weights of a diffuse wall in the fitted plane, less where a pixel does not see it."""
     xp = problem.xp
     farthest = xp.max(xp.abs(residual.left), axis=-2, keepdims=True)  # (..., 1, n)
     strength = strength_elsewhere(problem.pixels.expected_depth_m, residual.depth_m)[..., None, :]
-    weight = problem.weight * strength**2
-    weight = weight * (1 - xp.clip((farthest / width_rad) ** 2, max=1.0)) ** 2
-    return xp.broadcast_to(weight, residual.left.shape)
+    times = xp.clip(farthest / width_rad, max=1.0)
+    share = (1 - times * times) * strength
+    return problem.weight * (share * share)
 
 
 def _solved(xp: ModuleType, normal: A, right: A) -> A:

@@ -17,11 +17,12 @@ import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import ArrayLike, NDArray
 
-from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf
-from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m
+from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf, PixelsOf
+from itof.frequency_images import FrequencyImages, Slopes
+from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m, inverse_depth_of_plane
 from itof.wall.robust_solution import robust_solution
-from itof.wall.turned_reference import turned_reference
-from itof.wall.wall_phases import WallPhases, WallRays, by_frequency, four_cycles
+from itof.wall.turned_reference import PixelMean
+from itof.wall.wall_phases import WallPhases, WallRays, four_cycles
 
 FITS_RAD: Final = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
 MOST_PIXELS: Final = 2**14  # that decide a robust fit, evenly spread: more cost time and tell nothing new
@@ -43,21 +44,36 @@ class WallFit(Generic[A]):
     offsets_rad: A
     wiggling_rad: A | None
 
-    def moved(self, phasor: PhasorsOf[A], wall: ExpectedWall[A]) -> PhasorsOf[A]:
+    def moved(
+        self, phasor: PhasorsOf[A], wall: ExpectedWall[A], weights: Slopes[A] | None = None
+    ) -> PhasorsOf[A]:
         """(..., H, W, F) complex, the direct return of the expected `wall`, moved to this wall and phases.
 
-        It has the brightness of the expected wall. `phasor` (..., H, W, F) are the images that were fitted.
+        It has the brightness of the expected wall.
+
+        Parameters
+        ----------
+        phasor : (..., H, W, F) the images that were fitted.
+        weights : `brightness_of_wall` of the images; with them, the paths within a pixel are weighted as
+            `itof.weighted_reference` does.
         """
-        xp = array_namespace(phasor)
-        shape = tuple(phasor.shape)
-        turn = WallRays.of(xp, wall).turn(self.plane_per_m, self.offsets_rad)[0]
-        direct = turned_reference(wall.direct, xp.reshape(xp.matrix_transpose(turn), shape))
+        images, pixels = wall.images, WallRays.of(wall)
+        xp, size, k = images.xp, wall.meets.shape[-2:], pixels.slope[..., None]  # (F, 1, 1)
+        shift_m = pixels.shift_m(pixels.depth_m(self.plane_per_m)[0])  # (..., n)
+        mean = PixelMean.of(wall, xp.reshape(shift_m, (*shift_m.shape[:-1], 1, *size)), weights)
+        turn = mean.shift_m * k + xp.astype(self.offsets_rad, k.dtype)[..., None, None]  # (..., F, H, W)
         if self.wiggling_rad is not None:  # the camera's error is that of the phase of a whole pixel
-            waves = xp.stack(four_cycles(xp, by_frequency(xp, phasor)), axis=-2)  # (..., F, 2, n)
-            wiggle = xp.sum(waves * self.wiggling_rad[..., None], axis=-2)
-            wiggle = xp.reshape(xp.matrix_transpose(wiggle), shape)
-            direct = xp.astype(direct * (xp.cos(wiggle) + 1j * xp.sin(wiggle)), direct.dtype)
-        return direct
+            rad = xp.astype(self.wiggling_rad, k.dtype)
+            for place, wave in enumerate(four_cycles(FrequencyImages.of(phasor))):
+                turn = turn + wave * rad[..., place, None, None]
+        amplitude = mean.alpha - k**2 * mean.beta_m2
+        return images.times(amplitude * xp.cos(turn), amplitude * xp.sin(turn))
+
+    def inverse_distance_per_m(self, wall: ExpectedWall[A]) -> PixelsOf[A]:
+        """(..., H, W) inverse distance of this wall along the rays to the expected one, 1/m."""
+        xp, rays = wall.images.xp, WallRays.of(wall).rays
+        inverse = inverse_depth_of_plane(xp.matrix_transpose(rays), self.plane_per_m)
+        return xp.reshape(inverse, (*inverse.shape[:-1], *wall.rays.shape[-3:-1]))
 
 
 @dataclass(frozen=True)
@@ -201,8 +217,8 @@ def _problem(z: Phasors, known: Phasors, wall: ExpectedWall, used: Bools, offset
     """Phases of used pixels (n, F) over the expected ones; without offsets the plane is the only unknown."""
     phases = (np.angle(z) - np.angle(known)).T
     xp = array_namespace(z)
-    rays = WallRays(xp, wall.rays[used], used[used], wall.radial_depth_m[used], wall.slope[:, None])
-    basis = np.ones((len(phases), int(offsets), len(z)))
+    rays = WallRays(xp, wall.rays[used].T, used[used], wall.radial_depth_m[used], wall.slope[:, None])
+    basis = np.ones((1, int(offsets), len(z)))
     return WallPhases(xp, rays, phases, basis, pixel_weights(z, known)[None])
 
 

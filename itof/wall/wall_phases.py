@@ -20,14 +20,18 @@ Arrays may be of numpy or of any other library that supports the array API stand
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Generic
+from typing import Final, Generic
 
 from array_api_compat import device
 
 from itof.arrays import A
-from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane
+from itof.frequency_images import FrequencyImages
+from itof.wall.expected_wall import ExpectedWall, depth_or_else, inverse_depth_of_plane
+
+_BLOCK: Final = 1024  # pixels that a matrix product sums
 
 
 @dataclass(frozen=True)
@@ -36,10 +40,10 @@ class WallRays(Generic[A]):
 
     Attributes
     ----------
-    rays : ([N,] n, 3).
+    rays : ([N,] 3, n).
     meets : ([N,] n) whether a ray meets the wall.
-    expected_depth_m : ([N,] n) with 0 where the ray misses the wall.
-    slope : (F, 1) rad/m.
+    expected_depth_m : ([N,] n) with 1 where the ray misses the wall.
+    slope : (F, 1) rad/m, in the precision of phases.
     """
 
     xp: ModuleType
@@ -49,34 +53,36 @@ class WallRays(Generic[A]):
     slope: A
 
     @classmethod
-    def of(cls, xp: ModuleType, wall: ExpectedWall[A]) -> WallRays[A]:
+    def of(cls, wall: ExpectedWall[A]) -> WallRays[A]:
         """Rays of all pixels of images."""
-        pixels = (*wall.rays.shape[:-3], -1)  # ([N,] n)
-        meets = xp.reshape(xp.isfinite(wall.radial_depth_m), pixels)
-        depth_m = xp.reshape(wall.radial_depth_m, pixels)
+        xp, number = wall.images.xp, wall.images.real.dtype
+        meets = by_pixel(xp, wall.meets)
         return cls(
             xp,
-            xp.reshape(wall.rays, (*pixels, 3)),
+            by_pixel(xp, wall.rays_by_axis),
             meets,
-            xp.where(meets, depth_m, xp.zeros_like(depth_m)),
-            xp.asarray(wall.slope, dtype=xp.float64, device=device(wall.rays))[:, None],
+            xp.where(meets, by_pixel(xp, wall.radial_depth_m), 1.0),
+            xp.asarray(wall.slope, dtype=number, device=device(wall.rays))[:, None],
         )
 
-    def turn(self, plane: A, offset: A) -> tuple[A, A, A]:
-        """Phases (..., F, n) that a plane (..., 3) and offsets (..., F) give, and the plane's depth (..., n).
-
-        Third, whether each ray meets the plane (..., n); where it does not, the depth is the expected one.
-        """
+    def depth_m(self, plane: A) -> tuple[A, A]:
+        """Depth (..., n) of a plane (..., 3), and whether each ray meets it; else it is the expected one."""
         xp = self.xp
-        depth_m = radial_depth_of_plane(self.rays, plane)
-        meets = xp.isfinite(depth_m)
-        depth_m = xp.where(meets, depth_m, self.expected_depth_m)
-        turn = (depth_m - self.expected_depth_m)[..., None, :] * self.slope + offset[..., None]
-        return turn, depth_m, meets
+        inverse_per_m = inverse_depth_of_plane(xp.matrix_transpose(self.rays), plane)
+        return depth_or_else(xp, inverse_per_m, self.expected_depth_m)
+
+    def shift_m(self, depth_m: A) -> A:
+        """(..., n) change of the depth, in the precision of phases."""
+        return self.xp.astype(depth_m - self.expected_depth_m, self.slope.dtype)
+
+    def turn(self, depth_m: A, offset: A) -> A:
+        """Phases (..., F, n) that a depth (..., n) and offsets (..., F) give."""
+        shift_m = self.shift_m(depth_m)[..., None, :]
+        return shift_m * self.slope + self.xp.astype(offset, self.slope.dtype)[..., None]
 
     def tangent(self, depth_m: A) -> A:
         """(..., 3, n) derivative dL / dm of the depth by the plane."""
-        return -(depth_m**2)[..., None, :] * self.xp.matrix_transpose(self.rays)
+        return -(depth_m**2)[..., None, :] * self.rays
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class Residual(Generic[A]):
 
     Attributes
     ----------
-    left : (..., F, n) radians in [-π, π].
+    left : (..., F, n) radians in [-π, π], float64.
     depth_m : (..., n) of the plane; the expected depth where the ray misses it.
     meets : (..., n) whether the ray meets the plane.
     """
@@ -97,15 +103,16 @@ class Residual(Generic[A]):
 
 @dataclass(frozen=True)
 class WallPhases(Generic[A]):
-    """Phases of n pixels over those of the expected wall, float64; leading axes are those of the images.
+    """Phases of n pixels over those of the expected wall; leading axes are those of the images.
 
-    The unknowns are a plane (..., 3), and Q of each frequency, `local` (..., F, Q).
+    The unknowns are a plane (..., 3), and Q of each frequency, `local` (..., F, Q). G is F, or 1 for what is
+    the same at all frequencies.
 
     Attributes
     ----------
     pixels : rays of the pixels.
     phases : (..., F, n) measured over expected, radians, modulo 2π.
-    basis : (..., F, Q, n) what the local unknowns multiply: nothing; 1; or 1 and the four cycles.
+    basis : (..., G, Q, n) what the local unknowns multiply: nothing; 1; or 1 and the four cycles.
     weight : (..., 1, n) weights of the pixels; 0 where a pixel holds no light.
     """
 
@@ -117,70 +124,89 @@ class WallPhases(Generic[A]):
 
     def thinned(self, every: int) -> WallPhases[A]:
         """The same with one of `every` pixels."""
-        pixels, some = self.pixels, (..., slice(None, None, every))
-        rays = pixels.rays[..., ::every, :]
-        pixels = replace(
-            pixels, rays=rays, meets=pixels.meets[some], expected_depth_m=pixels.expected_depth_m[some]
+        xp, pixels = self.xp, self.pixels
+        some = xp.arange(0, self.phases.shape[-1], every, device=device(self.phases))
+        rays, meets, depth_m, phases, basis, weight = (
+            xp.take(values, some, axis=-1)
+            for values in (
+                *(pixels.rays, pixels.meets, pixels.expected_depth_m),
+                *(self.phases, self.basis, self.weight),
+            )
         )
-        arrays = {name: getattr(self, name)[some] for name in ("phases", "basis", "weight")}
-        return replace(self, pixels=pixels, **arrays)
+        pixels = replace(pixels, rays=rays, meets=meets, expected_depth_m=depth_m)
+        return replace(self, pixels=pixels, phases=phases, basis=basis, weight=weight)
 
     def first_guess(self, plane: A) -> A:
         """(..., F, Q) offsets that turn the mean phasor to 0; the other unknowns are 0."""
-        xp = self.xp
-        none = xp.zeros_like(self.basis[..., 0])  # (..., F, Q)
-        if not none.shape[-1]:
-            return none
-        left = self.phases - self.pixels.turn(plane, none[..., 0])[0]
-        along, across = (xp.sum(self.weight * part(left), axis=-1) for part in (xp.cos, xp.sin))
-        return xp.concat([xp.atan2(across, along)[..., None], none[..., 1:]], axis=-1)
+        xp, count = self.xp, self.basis.shape[-2]
+        none = xp.zeros_like(self.phases[..., :1], dtype=xp.float64)  # (..., F, 1)
+        left = self.phases - self.pixels.turn(self.pixels.depth_m(plane)[0], none[..., 0])
+        along, across = (
+            xp.sum(self.weight * part(left), axis=-1, keepdims=True) for part in (xp.cos, xp.sin)
+        )
+        return xp.concat([xp.atan2(across, along), *[none] * (count - 1)], axis=-1)[..., :count]
 
     def residual(self, plane: A, local: A) -> Residual[A]:
         """Phases that the unknowns leave."""
-        xp = self.xp
+        xp, number = self.xp, self.phases.dtype
         offset = xp.sum(local[..., :1], axis=-1)  # 0 if there is none
-        turn, depth_m, meets = self.pixels.turn(plane, offset)
-        left = self.phases - turn - xp.sum(self.basis[..., 1:, :] * local[..., 1:, None], axis=-2)
-        return Residual(left - 2 * math.pi * xp.round(left / (2 * math.pi)), depth_m, meets)
+        depth_m, meets = self.pixels.depth_m(plane)
+        left = self.phases - self.pixels.turn(depth_m, offset)
+        for place in range(1, local.shape[-1]):
+            left = left - self.basis[..., place, :] * xp.astype(local[..., place, None], number)
+        left = left - 2 * math.pi * xp.round(left / (2 * math.pi))
+        return Residual(xp.astype(left, xp.float64), depth_m, meets)
 
     def normal_equations(self, residual: Residual[A], weight: A) -> tuple[A, A]:
         """Matrix (..., P, P) and right side (..., P) for a step of the P = 3 + F Q unknowns.
 
-        `weight` (..., F, n) is that of each phase.
+        `weight` (..., G, n) is that of each phase.
         """
-        xp, k, basis = self.xp, self.pixels.slope, self.basis
-        left, tangent = residual.left, self.pixels.tangent(residual.depth_m)
-        frequencies, count = basis.shape[-3:-1]
-        seen = basis * weight[..., None, :]  # (..., F, Q, n)
-        rows = (*left.shape[:-2], frequencies * count, left.shape[-1])
-        seen_rows, columns = xp.reshape(seen, rows), xp.matrix_transpose(xp.reshape(basis, rows))
-        top = (tangent * xp.sum(weight * k**2, axis=-2, keepdims=True)) @ xp.matrix_transpose(tangent)
-        side = tangent @ xp.matrix_transpose(xp.reshape(seen * k[..., None], rows))  # (..., 3, F Q)
-        own = (seen_rows @ columns) * self._blocks(frequencies, count)  # frequencies share the plane alone
-        upper = xp.concat([top, side], axis=-1)
-        lower = xp.concat([xp.matrix_transpose(side), own], axis=-1)
-        along = xp.sum(tangent * xp.sum(weight * left * k, axis=-2, keepdims=True), axis=-1)  # (..., 3)
-        each = xp.reshape(xp.sum(seen * left[..., None, :], axis=-1), rows[:-1])  # (..., F Q)
-        return xp.concat([upper, lower], axis=-2), xp.concat([along, each], axis=-1)
-
-    def _blocks(self, frequencies: int, count: int) -> A:
-        """(F Q, F Q): 1 where both unknowns are of the same frequency."""
-        xp = self.xp
-        place = xp.arange(frequencies * count, device=device(self.phases)) // max(count, 1)
-        return xp.astype(place[:, None] == place, xp.float64)
-
-
-def phases_of(xp: ModuleType, z: A) -> A:
-    """Phases of complex numbers, radians, float64."""
-    return xp.astype(xp.atan2(xp.imag(z), xp.real(z)), xp.float64)
-
-
-def four_cycles(xp: ModuleType, measured: A) -> list[A]:
-    """Cosine and sine of four times the phases of measured phasors (..., F, n)."""
-    cycles = phases_of(xp, measured)
-    return [xp.cos(4 * cycles), xp.sin(4 * cycles)]
+        xp, basis, left = self.xp, self.basis, residual.left
+        k = xp.astype(self.pixels.slope, xp.float64)[..., None]  # (F, 1, 1)
+        shape, (frequencies, count) = left.shape[:-2], (left.shape[-2], basis.shape[-2])
+        tangent = self.pixels.tangent(residual.depth_m)[..., None, :, :]
+        groups = (*shape, max(weight.shape[-2], basis.shape[-3]))
+        rows = [xp.broadcast_to(each, (*groups, *each.shape[-2:])) for each in (tangent, basis)]
+        right = left[..., None, :] if groups[-1] > 1 else left[..., None, :, :]
+        rows = xp.concat(rows, axis=-2)  # (..., G, 3 + Q, n)
+        normal, right = _sums(
+            xp, rows * weight[..., None, :], (rows, right)
+        )  # (..., G, 3 + Q, 3 + Q or F or 1)
+        right = (
+            right if groups[-1] > 1 else xp.matrix_transpose(right)[..., 0, :, :, None]
+        )  # (..., F, 3 + Q, 1)
+        top = xp.sum(normal[..., :3, :3] * k**2, axis=-3)
+        side = xp.reshape(normal[..., 3:, :3] * k, (*shape, frequencies * count, 3))
+        apart = xp.eye(frequencies, dtype=xp.float64, device=device(left))[:, None, :, None]
+        own = normal[..., 3:, None, 3:] * apart  # frequencies share the plane alone
+        own = xp.reshape(own, (*shape, frequencies * count, frequencies * count))
+        matrix = xp.concat(
+            [xp.concat([top, xp.matrix_transpose(side)], axis=-1), xp.concat([side, own], axis=-1)], axis=-2
+        )
+        along = xp.sum(right[..., :3, 0] * k[..., 0], axis=-2)  # (..., 3)
+        each = xp.reshape(right[..., 3:, 0], (*shape, frequencies * count))
+        return matrix, xp.concat([along, each], axis=-1)
 
 
-def by_frequency(xp: ModuleType, values: A) -> A:
-    """(..., F, n) of (..., H, W, F)."""
-    return xp.moveaxis(xp.reshape(values, (*values.shape[:-3], -1, values.shape[-1])), -1, -2)
+def _sums(xp: ModuleType, rows: A, others: Sequence[A]) -> list[A]:
+    """(..., I, J) sums over n pixels of the products of rows (..., I, n) with each of `others` (..., J, n).
+
+    Libraries may divide a long sum among threads if they have no other images to do, which rounds it
+    otherwise. So the sums are short.
+    """
+    blocks = [slice(start, start + _BLOCK) for start in range(0, rows.shape[-1], _BLOCK)]
+    return [
+        sum(rows[..., some] @ xp.matrix_transpose(other[..., some]) for some in blocks) for other in others
+    ]
+
+
+def four_cycles(images: FrequencyImages[A]) -> list[A]:
+    """Cosine and sine of four times the phases of measured images, (..., F, H, W)."""
+    xp, cycles = images.xp, 4 * images.phase
+    return [xp.cos(cycles), xp.sin(cycles)]
+
+
+def by_pixel(xp: ModuleType, values: A) -> A:
+    """(..., n) of (..., H, W)."""
+    return xp.reshape(values, (*values.shape[:-2], -1))

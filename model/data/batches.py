@@ -13,7 +13,7 @@ from itof.sensor.binned import BinnedCamera
 from itof.sensor.settings import SensorSettings
 from itof.wall.expected_wall import ExpectedWall
 from model.data.rows import ARRAYS, RowBlock
-from model.data.scene_walls import FitCache, SceneWalls
+from model.data.scene_walls import SceneWalls
 from model.data.sensor_draws import SensorDraws
 from model.network.channels import IMAGES_AT_ONCE, InputSpec
 
@@ -85,30 +85,26 @@ class BatchMaker:
         camera = BinnedCamera(sensor, inputs.frequencies_hz, width, height)
         return cls(inputs, places, here, SensorDraws(camera, here.direct if sensor_capture else None))
 
-    def upload(self, block: RowBlock, fits: FitCache | None = None) -> RowBlock:
+    def upload(self, block: RowBlock) -> RowBlock:
         """A copy of `block` on the device, as tensors, with the reference of every image.
 
         Its phasors are those of the network's frequencies, as rendered, or as the camera measures them; the
         number of a row then decides its noise.
-
-        Parameters
-        ----------
-        fits : keeps what is fitted to a row, for the next time that the row is uploaded.
         """
         rows = self._on_device(block)
         if self.camera is not None:
             parts = [self.camera(rows.phasors[some], rows.rows[some]) for some in _parts(rows)]
             rows = replace(rows, phasors=torch.cat(parts))
-        return replace(rows, reference=self._references(rows, fits)) if self.inputs.uses_residual else rows
+        return replace(rows, reference=self._references(rows)) if self.inputs.uses_residual else rows
 
-    def upload_to_augment(self, block: RowBlock, fits: FitCache | None = None) -> RowBlock:
-        """A copy of `block` on the device, as tensors, with phasors as rendered; `fits` as in `upload`.
+    def upload_to_augment(self, block: RowBlock) -> RowBlock:
+        """A copy of `block` on the device, as tensors, with phasors as rendered.
 
-        Without a camera it has the reference of every image: that of the phasors as rendered, because it
-        takes longer than a training step, and noise of the augmentation would hardly change it. With a
-        camera, each measurement has its own, which `batch` finds.
+        Without a camera it has the reference of every image: that of the phasors as rendered, because noise
+        of the augmentation would hardly change it. With a camera, each measurement has its own, which `batch`
+        finds.
         """
-        return self.upload(block, fits) if self.camera is None else self._on_device(block)
+        return self.upload(block) if self.camera is None else self._on_device(block)
 
     def _on_device(self, block: RowBlock) -> RowBlock:
         phasors = np.take(block.phasors, self.places, axis=-1)  # contiguous, which indexing is not
@@ -123,7 +119,7 @@ class BatchMaker:
         pixels = self.wall.direct[..., 0].nbytes
         return int(pixels * self.inputs.reference_count)
 
-    def _references(self, rows: RowBlock, fits: FitCache | None) -> Tensor:
+    def _references(self, rows: RowBlock) -> Tensor:
         """(n, H, W, F or F + 1) complex64 reference of uploaded rows."""
         shape = (len(rows), *self.wall.direct.shape[:-1], self.inputs.reference_count)
         found = torch.empty(shape, dtype=torch.complex64, device=self.wall.rays.device)
@@ -133,8 +129,7 @@ class BatchMaker:
             wall = self.wall
             if self.walls is not None and views_deg is not None:
                 wall = _on(found.device, self.walls.of(views_deg[some].tolist()))
-            fit = fits.of(rows.rows[some], measured, wall) if fits else None
-            found[some] = self.inputs.reference_of_image(measured, wall, fit)
+            found[some] = self.inputs.reference_of_image(measured, wall)
         return found
 
     def reference(self, phasor: Tensor) -> Tensor | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import torch
@@ -18,6 +19,10 @@ from model.data.shards import Shards
 from model.network.channels import IMAGES_AT_ONCE, ChannelError, InputSpec
 from model.settings.input import AmplitudeDivisor, Channels, Reference
 
+# Scenes that scale the channels. The standard deviation of n values has the standard error 1 / sqrt(2 n) of
+# itself, and the pixels of a scene are more than one value: less than 1.6 %.
+SCENES: Final = 2048
+
 
 def fit_input_spec(
     channels: Channels,
@@ -28,7 +33,7 @@ def fit_input_spec(
     reference: Reference = "geometry",
     view: WallView | None = None,
 ) -> InputSpec:
-    """The input channels, scaled by the training scenes; reads one piece of the shards at a time.
+    """The input channels, scaled by the training scenes, or by `SCENES` of them; reads a piece at a time.
 
     Parameters
     ----------
@@ -36,8 +41,8 @@ def fit_input_spec(
     rows : rows of the training scenes.
     frequencies_hz : modulation frequencies of the input, Hz; None for all of the shards.
     amplitude_divisor : the amplitude channel is divided by the mean of the amplitude over all pixels of the
-        training scenes, so that its mean is 1, or by its maximum, so that it lies in [0, 1] as in the paper.
-        Scenes that are brighter than all training scenes exceed 1.
+        training scenes, so that its mean is 1, or by its maximum over all of them, so that it lies in [0, 1]
+        as in the paper. Scenes that are brighter than all training scenes exceed 1.
     reference : where the direct return of the residual channels comes from.
     view : camera and relay wall of the shards; only the reference ``self`` needs it.
 
@@ -67,7 +72,7 @@ def fit_input_spec(
     walls_of_scenes = SceneWalls.of_shards(view, shards, chosen) if view and wall else None
     amplitudes, brightest, means, squares = [], 0.0, [], []
     walls: list[tuple[float, float, float]] = []
-    for some, phasors in _images(shards, rows):
+    for some, phasors in _images(shards, _sample(rows) if amplitude_divisor == "mean" else rows):
         wall = walls_of_scenes.of(shards.fields_of_view_deg(some)) if walls_of_scenes else wall
         first = amplitude(phasors[..., places[0]])  # (n, H, W)
         amplitudes.extend(first.mean(axis=(1, 2)))
@@ -115,6 +120,9 @@ def fit_input_spec(
 def largest_shift_m(inputs: InputSpec, shards: Shards, rows: Sequence[int], view: WallView) -> float:
     """Largest distance of a wall that scenes show from the expected one, metres; for the channel of the wall.
 
+    It is that of `SCENES` scenes at most. One scene in so many is farther, and by much less than the 2 cm
+    beyond it that a prediction lets pass (`itof.wall.plausibility`).
+
     Parameters
     ----------
     inputs : input channels, whose other constants stay those of the training scenes that they come from.
@@ -124,7 +132,7 @@ def largest_shift_m(inputs: InputSpec, shards: Shards, rows: Sequence[int], view
     expected = view.expected_wall(shards.reference[..., places], frequencies_hz)
     of_scenes = SceneWalls.of_shards(view, shards, frequencies_hz)
     shifts_m = [0.0]
-    for some, phasors in _images(shards, rows):
+    for some, phasors in _images(shards, _sample(rows)):
         wall = of_scenes.of(shards.fields_of_view_deg(some)) if of_scenes else expected
         _, inverse = inputs.parted(_reference(inputs, phasors[..., places], wall))
         statistics = _wall_statistics(inverse[..., 0].real.astype(np.float64), wall)
@@ -152,6 +160,12 @@ def _wall_statistics(
         ahead = (inverse > 0) & np.isfinite(depth_m)
         shift_m = np.abs(1 / inverse[ahead] - depth_m[ahead]).mean() if ahead.any() else 0.0
         yield float(inverse.mean()), float((inverse**2).mean()), float(shift_m)
+
+
+def _sample(rows: Sequence[int]) -> list[int]:
+    """At most `SCENES` of the rows, evenly spread."""
+    count = min(len(rows), SCENES)
+    return [rows[place * len(rows) // count] for place in range(count)]
 
 
 def _images(shards: Shards, rows: Sequence[int]) -> Iterator[tuple[list[int], NDArray[np.complex64]]]:

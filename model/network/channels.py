@@ -14,8 +14,10 @@ from disk import NightError
 from disk.contract import STRICT
 from disk.quantities import Positive
 from itof import SubpixelWeights, megahertz, network_channels, residual_channels, weighted_reference
+from itof.frequency_images import Slopes
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
+from itof.wall.turned_reference import brightness_of_wall
 from itof.wall.wall_fit import WallFit
 from model.settings.input import Channels, Reference
 
@@ -56,8 +58,8 @@ class InputSpec:
         version 0.1, whose ``run.json`` has no such key: they see what they were trained with.
     reference : where the direct return of the residual channels comes from (`reference_for`).
     wall_scale_per_m : mean and standard deviation of the inverse distance of the wall, 1/m; None without it.
-    largest_shift_m : with the channel of the wall: the largest mean shift of a wall among the training
-        scenes, metres along the rays.
+    largest_shift_m : with the channel of the wall: the largest mean shift of a wall among the scenes that
+        scale the channels, metres along the rays.
     training_mean_amplitude : mean A_0 of the training scenes; None if `amplitude_scale` is the mean.
     wall_alone : as for `itof.residual_channels`. False in runs whose ``run.json`` has no such key.
 
@@ -156,11 +158,14 @@ class InputSpec:
             raise ChannelError(f"{megahertz(*missing)} is not among {megahertz(*available_hz)}")
         return [list(available_hz).index(f) for f in self.frequencies_hz]
 
-    def fit_of(self, phasor: Any, wall: ExpectedWall) -> WallFit:
-        """The wall and phases that these phasors (..., H, W, F) show; only where `self_calibrates`."""
-        return calibrate(phasor, wall, wiggling=self.reference == "self+wiggling")
+    def fit_of(self, phasor: Any, wall: ExpectedWall, weights: Slopes | None = None) -> WallFit:
+        """The wall and phases that these phasors (..., H, W, F) show; only where `self_calibrates`.
 
-    def reference_for(self, phasor: Any, wall: ExpectedWall, fit: WallFit | None = None) -> Any:
+        `weights` is their `brightness_of_wall`, if it is known.
+        """
+        return calibrate(phasor, wall, wiggling=self.reference == "self+wiggling", weights=weights)
+
+    def reference_for(self, phasor: Any, wall: ExpectedWall, *, is_weighted: bool = False) -> Any:
         """The reference that `apply` needs for these phasors (..., H, W, F).
 
         The direct return of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall
@@ -169,30 +174,26 @@ class InputSpec:
 
         Parameters
         ----------
-        fit : `fit_of` these phasors, if it is known.
+        is_weighted : it has the weights that the amplitudes of the phasors give it, (..., H, W, F or F + 1),
+            for `apply` with ``is_weighted``. Noise of relative size σ in the amplitudes changes its phase by
+            less than σ / 40 (`itof.weighted_reference`).
         """
+        is_weighted = is_weighted and self.subpixel_weights == "measured"
         if not self.self_calibrates:
-            return wall.direct
-        fit = self.fit_of(phasor, wall) if fit is None else fit
-        direct = fit.moved(phasor, wall)
+            xp = array_namespace(phasor)
+            return weighted_reference(wall.direct, xp.abs(phasor[..., 0])) if is_weighted else wall.direct
+        weights = brightness_of_wall(phasor, wall)
+        fit = self.fit_of(phasor, wall, weights)
+        direct = fit.moved(phasor, wall, weights if is_weighted else None)
         if not self.shows_wall:
             return direct
         xp = array_namespace(direct)
-        inverse = xp.sum(wall.rays * fit.plane_per_m[..., None, None, :], axis=-1)  # (..., H, W)
+        inverse = fit.inverse_distance_per_m(wall)
         return xp.concat([direct, xp.astype(inverse, direct.dtype)[..., None]], axis=-1)
 
-    def reference_of_image(self, phasor: Any, wall: ExpectedWall, fit: WallFit | None = None) -> Any:
-        """`reference_for` these phasors (..., H, W, F), with the weights that their amplitudes give it.
-
-        (..., H, W, F or F + 1) complex, for `apply` with ``is_weighted``. Noise of relative size σ in the
-        amplitudes changes its phase by less than σ / 40 (`itof.weighted_reference`).
-        """
-        known = self.reference_for(phasor, wall, fit)
-        if self.subpixel_weights == "uniform":
-            return known
-        xp, (direct, rest) = array_namespace(phasor), self.parted(known)
-        weighted = weighted_reference(direct, xp.abs(phasor[..., 0]))
-        return xp.concat([weighted, rest], axis=-1) if self.shows_wall else weighted
+    def reference_of_image(self, phasor: Any, wall: ExpectedWall) -> Any:
+        """`reference_for` with the weights of the amplitudes, if the run has them."""
+        return self.reference_for(phasor, wall, is_weighted=True)
 
     def parted(self, reference: Any) -> tuple[Any, Any]:
         """The direct return (..., H, W, F) in a reference, and the rest, which is empty without a wall."""

@@ -206,8 +206,8 @@ class Predictor:
     def _channels(self, images: NDArray[np.generic], wall: ExpectedWall | None) -> NDArray[np.float32]:
         with np.errstate(over="ignore", invalid="ignore"):  # the check below finds overflows
             inputs = self.config.inputs
-            known = None if wall is None else inputs.reference_for(images, wall)
-            channels = inputs.apply(images, known)  # (N, C, H, W)
+            known = None if wall is None else inputs.reference_of_image(images, wall)
+            channels = inputs.apply(images, known, is_weighted=True)  # (N, C, H, W)
         if not np.isfinite(channels).all():
             raise InputError(
                 "the measurement holds values too large for the network's float32 channels: rescale it, or "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 import os
 import time
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from model.data.batches import BatchMaker
 from model.data.feed import Feed, window_rows
-from model.data.scene_walls import FitCache, SceneWalls
+from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.paper.augmentation import PaperAugmentation
 from model.paper.enlarged_set import EnlargedSet
@@ -139,15 +138,11 @@ class TrainingState:
 
     def _feed_of(self, split: Split, rows: Sequence[int], window_rows: int) -> Feed:
         """Feed of these rows of a split, in windows of at least so many of them."""
-        prepare = self.maker.upload_to_augment if split == "train" else self.maker.upload
-        inputs, is_streamed = self.config.inputs, len(set(rows)) > window_rows
         return Feed(
             self.shards,
             rows,
             window_rows,
-            functools.partial(
-                prepare, fits=FitCache(inputs) if inputs.self_calibrates and is_streamed else None
-            ),
+            self.maker.upload_to_augment if split == "train" else self.maker.upload,
             prepares_ahead=self.processes.device.type != "cpu",
         )
 

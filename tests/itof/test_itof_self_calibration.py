@@ -9,9 +9,10 @@ from many_light_scenes import CAMERA_LOCATION_M, DOWN, FORWARD, HORIZONTAL_FOV_D
 from wall_measurements import FOV_DEG, FREQUENCIES_HZ, noise
 
 from itof import direct_phasors, residual_channels
+from itof.other_surfaces import ELSEWHERE_RAD
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import calibrate
-from itof.wall.turned_reference import turned_reference
+from itof.wall.self_calibration import calibrate, phases_over
+from itof.wall.wall_fit import WallFit
 from itof.wall.wall_search import wall_from_nothing
 
 OFFSETS_RAD = np.array([0.005, -0.005, 0.005])
@@ -146,6 +147,28 @@ def test_pixels_that_do_not_see_the_wall_do_not_move_it(wall, share):
     assert np.isfinite(found.moved(z, wall)).all()
 
 
+def test_the_fit_is_the_minimum_over_all_pixels_also_beside_another_surface():
+    """From a random corner, with the edge of the middle wall in view: another full step changes nothing."""
+    wall = paper_wall(80, 60)
+    rng = np.random.default_rng(0)
+    for edge in (80, 68):
+        shift_m, tilt_deg = rng.uniform(-0.1, 0.1), rng.uniform(-2, 2)
+        other = paper_wall(80, 60, shift_m, tilt_deg)
+        z = other.direct * hidden(other) * np.exp(1j * OFFSETS_RAD)
+        z[:, edge:] = 0.6 * paper_wall(80, 60, shift_m + 0.5).direct[:, edge:]
+        z[:, edge - 1] = (z[:, edge - 1] + z[:, edge - 2]) / 2
+        fit, problem = calibrate(z, wall), phases_over(z, wall, wiggling=False)
+        left = problem.residual(fit.plane_per_m, fit.offsets_rad[:, None])
+        farthest = np.abs(left.left).max(axis=0)
+        assert (farthest > ELSEWHERE_RAD).reshape(60, 80)[:, edge:].all()
+        assert (farthest < 10 * HIDDEN_RAD).reshape(60, 80)[:, : edge - 2].all()
+        share = (problem.pixels.expected_depth_m / left.depth_m) ** 3
+        weight = problem.weight * (share * np.clip(1 - (farthest / ELSEWHERE_RAD) ** 2, 0, None)) ** 2
+        step = np.linalg.solve(*problem.normal_equations(left, weight))
+        turn = problem.pixels.slope * (step[:3] @ problem.pixels.tangent(left.depth_m)) + step[3:, None]
+        assert np.sqrt((turn.reshape(3, 60, 80)[..., :edge] ** 2).mean()) < HIDDEN_RAD / 300
+
+
 def test_images_without_a_wall_stay_finite(wall):
     images = np.stack([0 * wall.direct, noise(wall.direct.shape), wall.direct])
     found = calibrate(images, wall)
@@ -223,7 +246,7 @@ def test_only_walls_in_the_same_plane_are_stacked(wall):
 def test_a_turned_reference_is_that_of_the_turned_wall(wall):
     other = paper_wall(40, 30, 0.01, 1.0)
     turn = wall.slope * (other.radial_depth_m - wall.radial_depth_m)[..., None]
-    turned = turned_reference(wall.direct, turn)
+    turned = WallFit(other.plane_per_m, np.zeros(3), None).moved(wall.direct, wall)
     plain = wall.direct * np.exp(1j * turn)
     left, before = (
         np.sqrt((residual_channels(other.direct, each) ** 2).mean(axis=(1, 2))) for each in (turned, plain)

@@ -160,7 +160,7 @@ def test_torch_gives_the_channels_of_numpy_and_flips_turn_the_wall_over(corners)
     assert maker.reference_bytes * len(rows) == block.reference.nbytes
     batch = maker.batch(block)
     z = shards.read(rows).phasors
-    numpy = spec.apply(z, spec.reference_for(z, wall))
+    numpy = spec.apply(z, spec.reference_of_image(z, wall), is_weighted=True)
     # A dozen operations in float32, each with one rounding of the light, over the channel's deviation.
     rounding = 12 * np.finfo(np.float32).eps / np.array(spec.residual_scale)
     difference = np.abs(batch.channels.numpy() - numpy).max(axis=(0, 2, 3))

@@ -61,3 +61,13 @@ def test_an_amplitude_channel_divided_by_the_maximum_of_the_training_scenes_fill
     np.testing.assert_array_equal(network_input[:, 1:], plain[:, 1:])  # no other channel depends on it
     np.testing.assert_allclose(network_input[:, 0], plain[:, 0] / plain[:, 0].max(), rtol=1e-6)
     assert spec.mean_amplitude == by_mean.mean_amplitude == by_mean.amplitude_scale < spec.amplitude_scale
+
+
+def test_the_scale_is_that_of_scenes_spread_over_all(shards, monkeypatch):
+    rows = shards.rows("train")
+    monkeypatch.setattr("model.data.channel_scaling.SCENES", len(rows) // 2)
+    some = [rows[place * len(rows) // (len(rows) // 2)] for place in range(len(rows) // 2)]
+    found = fit_input_spec("paper+residual", shards, rows)
+    assert found == fit_input_spec("paper+residual", shards, some)
+    brightest = fit_input_spec("paper", shards, rows, amplitude_divisor="maximum").amplitude_scale
+    assert brightest == max(np.abs(shards.read(rows).phasors[..., 0]).max(axis=(1, 2)))
