@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from disk import NightError
 from render.settings import RenderError
-from scenegen import Dataset
+from scenegen import Dataset, Scene
 from scenegen.scene_folder import differences, folder_digest, ineffective, read_scene_folder, scene_of
 
 SCENE_FILES = "scene_files"  # attribute of renders of such scenes
@@ -72,3 +72,18 @@ def without_effect(dataset: Dataset, scenes: Sequence[str]) -> str:
         f"{found[0]}{others} from scene.json, which has no effect: scenes are rendered from scene.json and "
         "the meshes"
     )
+
+
+def refuse_unlike(scene: Scene, dataset: Dataset) -> None:
+    """Refuse a scene that would be rendered otherwise than it says; night-gen makes none."""
+    if len({part.reflectance for part in scene.hidden_objects}) > 1:
+        raise RenderError(
+            f"scene {scene.id}: its hidden objects have different reflectances, but share one material: give "
+            "them the same reflectance"
+        )
+    seen, camera = scene.camera, dataset.preset.camera
+    if seen.width * camera.height != seen.height * camera.width:
+        raise RenderError(
+            f"scene {scene.id}: its camera has {seen.width}x{seen.height} pixels, another shape than the "
+            f"{camera.width}x{camera.height} of the dataset: change the camera in scene.json"
+        )

@@ -26,7 +26,7 @@ from itof import (
 )
 from render.backend import drjit_threads, select_variant
 from render.batch.light import BOUNCES, BatchedLight, SceneLight, suits
-from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured
+from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured, refuse_unlike
 from render.options import BatchedOptions
 from render.settings import RenderError, RenderSettings
 from render.transport.lights.hidden_surface import HiddenSurfaceError
@@ -199,7 +199,7 @@ class Renderer:
         if is_edited(self.dataset, scene_id, digest) and not self.settings.accept_edited:
             refuse_edited(self.dataset, [scene_id])
         scene = scene_of(files, folder)
-        _refuse_unlike(scene, self.dataset)
+        refuse_unlike(scene, self.dataset)
         return _Source(scene, folder, files, digest)
 
     def _render_measurement(
@@ -338,21 +338,6 @@ def _forget_earlier(folder: Path, recipe: str) -> None:
 def _is_damaged(folder: Path, record: RenderRecord) -> bool:
     images = {name: record.files[name] for name in IMAGE_FILES if name in record.files}
     return any(difference(folder / name, expected) for name, expected in images.items())
-
-
-def _refuse_unlike(scene: Scene, dataset: Dataset) -> None:
-    """Refuse a scene that would be rendered otherwise than it says; night-gen makes none."""
-    if len({part.reflectance for part in scene.hidden_objects}) > 1:
-        raise RenderError(
-            f"scene {scene.id}: its hidden objects have different reflectances, but share one material: give "
-            "them the same reflectance"
-        )
-    seen, camera = scene.camera, dataset.preset.camera
-    if seen.width * camera.height != seen.height * camera.width:
-        raise RenderError(
-            f"scene {scene.id}: its camera has {seen.width}x{seen.height} pixels, another shape than the "
-            f"{camera.width}x{camera.height} of the dataset: change the camera in scene.json"
-        )
 
 
 def _finite(blocks: Iterator[NDArray[np.float32]], what: str) -> Iterator[NDArray[np.float32]]:

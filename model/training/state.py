@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -44,6 +44,7 @@ from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
 _log = logging.getLogger(__name__)
+_RENDERING: Final = 0.4  # of the cores, which render fresh scenes; the others train, on the CPU
 
 
 class TrainingState:
@@ -80,6 +81,7 @@ class TrainingState:
         settings, device = config.settings, processes.device
         camera = settings.augmentation.camera
         self.config, self.settings, self.shards, self.processes = config, settings, shards, processes
+        self._threads = torch.get_num_threads()
         self.run_id = config.run_id or run_id_of(config)
         frequencies_hz = shards.manifest.frequencies_hz
         wall = config.geometry.expected_wall(shards.reference, frequencies_hz)
@@ -118,16 +120,17 @@ class TrainingState:
 
     def _fresh_feed(self, scenes: FreshScenes, meshes: Mapping[Shape, UnitMesh]) -> FreshFeed:
         """Feed of the training's own scenes."""
-        run, processes = self.settings.run, self.processes
-        workers = run.workers
-        threads = max(1, len(os.sched_getaffinity(0)) // (workers * processes_of_this_machine()))
-        width, height = self.config.image_width, self.config.image_height
-        rendering = Rendering(
-            *(scenes.with_seed(run.seed), meshes, width, height, run.device, threads),
-        )
+        run, size = self.settings.run, (self.config.image_width, self.config.image_height)
+        cores = len(os.sched_getaffinity(0)) // processes_of_this_machine()
+        rendering_cores = max(1, round(cores * _RENDERING))
+        if self.processes.device.type == "cpu":
+            # Threads that wait for each other on a busy core make a step ten times slower.
+            torch.set_num_threads(max(1, min(torch.get_num_threads(), cores - rendering_cores)))
+        threads = max(1, rendering_cores // run.workers)
+        rendering = Rendering(scenes.with_seed(run.seed), meshes, *size, run.device, threads)
         return FreshFeed(
-            *(FreshWorkers(rendering, workers), run.epoch_scenes, run.max_epochs, width * height),
-            *(self.maker.upload_to_augment, processes),
+            *(FreshWorkers(rendering, run.workers), run.epoch_scenes, run.max_epochs, size[0] * size[1]),
+            *(self.maker.upload_to_augment, self.processes),
         )
 
     def names(self, rows: Sequence[int]) -> list[str]:
@@ -150,6 +153,7 @@ class TrainingState:
         """End the workers that render fresh scenes."""
         if self.config.fresh is not None:
             self.feeds["train"].close()
+            torch.set_num_threads(self._threads)
 
     @property
     def best(self) -> EpochRecord:

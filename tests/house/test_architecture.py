@@ -52,7 +52,8 @@ WINGS = {
     "render.edited_scenes": {"render.settings"},
     "render.rendering": {
         *("render.transport.method", "render.transport.lights", "render.transport.passes"),
-        *("render.transport", "render.edited_scenes", "render.settings", "render.backend", "render.options"),
+        *("render.transport", "render.batch", "render.edited_scenes", "render.settings", "render.backend"),
+        "render.options",
     },
     "render.farm.claims": set(),  # the locks of scenes, which products take too
     "render.farm": {

@@ -45,7 +45,9 @@ def test_a_recorded_size_that_does_not_fit_the_camera_names_the_file(rendered_co
 
 
 def test_the_small_product_is_the_images_of_the_large_one_alone(unrendered, seven_renders, render_here):
-    done = render_here(unrendered, *SETTINGS, "--product", "itof", "--only", "000003")
+    done = render_here(
+        unrendered, *SETTINGS, "--product", "itof", "--method", "many-light", "--only", "000003"
+    )
     assert done.returncode == 0, done.stderr
     files = {file.name: file.read_bytes() for file in (unrendered / "renders" / "000003").iterdir()}
     assert set(files) == {"itof.exr", "mirrored.exr", "render.json"}

@@ -45,7 +45,6 @@ class FreshFeed:
     Attributes
     ----------
     rows : as many as an epoch has scenes.
-    waited_s : how long the training waited for scenes.
     """
 
     window_rows = 0
@@ -59,11 +58,17 @@ class FreshFeed:
         prepare: Callable[[RowBlock], RowBlock],
         processes: Processes,
     ) -> None:
-        self.rows, self.waited_s = range(epoch_scenes), 0.0
+        self.rows = range(epoch_scenes)
+        self._waited_s = self._used_s = 0.0
         self.distinct_rows: Sequence[int] = ()
         self._workers, self._epochs, self._pixels = workers, epochs, pixels
         self._prepare, self._processes = prepare, processes
         self._batches: Iterator[FreshBatch] | None = None
+
+    @property
+    def waiting_share(self) -> float:
+        """Share of the training's time in which it waited for scenes; near 0, the workers wait for it."""
+        return self._waited_s / max(self._waited_s + self._used_s, 1e-9)
 
     def hold(self) -> None:
         """Nothing is held."""
@@ -89,8 +94,10 @@ class FreshFeed:
         for _ in range(count):
             began = time.monotonic()
             batch = next(batches)
-            self.waited_s += time.monotonic() - began
+            got = time.monotonic()
             yield batch
+            self._waited_s += got - began
+            self._used_s += time.monotonic() - got
 
     def _from(self, epoch: int, skip: int, batch_size: int) -> Iterator[FreshBatch]:
         """All batches from a place in the stream, each from scenes that a worker renders at once."""
