@@ -20,15 +20,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from model.data.shards import open_shards
+from model.settings.fresh import FreshScenes
+from model.training.fresh.workers import FreshWorkers, Rendering
 from render.farm.clusters import connected
 from render.farm.jobs import Job, Outcome
 from render.farm.queue import RenderQueue
-from render.options import ManyLightOptions
+from render.options import BatchedOptions
 from render.settings import RenderSettings
-from scenegen import Dataset, open_dataset
+from scenegen import Dataset, load_preset, open_dataset
 
 RATES = (("40x30", 0.02), ("80x60", 0.01), ("160x120", 0.01))  # size and error of the first table
 WARM_UP = 42  # scenes, six of each class: so each of a few workers compiles the kernels of all classes
+AT_ONCE = 218  # scenes of 80 x 60 pixels that a worker of a training renders at once
 NO_OPS = 10_000
 WORKERS = (1, 8, 64)
 SCENES = (1344, 100_000)
@@ -56,6 +59,7 @@ def main() -> None:
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
         print_rates(Path(folder), given)
+        print_fresh(given)
         if not given.rates_only:
             print_stages(Path(folder), given)
 
@@ -76,6 +80,25 @@ def print_rates(root: Path, given: argparse.Namespace) -> None:
                 seconds = render_cost(client, dataset, settings, dataset.ids(), given.warm_up)
             row = (size, f"{error:.0%}", f"{workers} x {cores // workers}", f"{seconds:.3f}")
             print(f"| {' | '.join(row)} | {3600 / seconds:,.0f} |", flush=True)
+
+
+def print_fresh(given: argparse.Namespace) -> None:
+    """Scene pairs that workers with all cores deliver to a training, without files."""
+    cores = len(os.sched_getaffinity(0))
+    print("\n| delivered to a training: pixels | error | scene pairs per hour |\n|---|---|---|")
+    for size, error in [(size, float(error)) for size, error in given.rates or ()] or RATES:
+        width, height = (int(number) for number in size.split("x"))
+        scenes = FreshScenes(load_preset(given.preset), error).with_seed(0)
+        workers = FreshWorkers(Rendering(scenes, {}, width, height, "cpu", cores), 1)
+        lists = iter([list(range(start, start + AT_ONCE)) for start in range(0, 8 * AT_ONCE, AT_ONCE)])
+        results = workers.results(lists)
+        next(results)
+        next(results)  # the first ones compile the kernels
+        started = time.perf_counter()
+        count = sum(len(block) for block in results)
+        seconds = (time.perf_counter() - started) / count
+        workers.close()
+        print(f"| {size} | {error:.0%} | {3600 / seconds:,.0f} |", flush=True)
 
 
 def print_stages(root: Path, given: argparse.Namespace) -> None:
@@ -105,7 +128,7 @@ def local(workers: int, device: Any) -> Any:
 def settings_at(size: str, error: float) -> RenderSettings:
     """Settings for images of a size, such as ``80x60``."""
     width, height = (int(number) for number in size.split("x"))
-    return RenderSettings(options=ManyLightOptions(error=error), resolution=(width, height))
+    return RenderSettings(options=BatchedOptions(error=error), resolution=(width, height))
 
 
 def made_dataset(root: Path, preset: str, count: int) -> Dataset:
