@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     help="Fine-tuning: start from the best weights of this run, with its input, network, target and "
     "algorithm.",
 )
-@option(
-    "Training",
+@click.option(
     "--fresh",
     metavar="PRESET",
     help="Train on new scenes of this preset of scenes, rendered meanwhile; DATASET scales the input and "

@@ -41,7 +41,6 @@ SHOWN: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "Machine": {
         "device": "run.device",
-        "precision": "run.precision",
         "progress": "run.progress",
     },
 }

@@ -122,7 +122,7 @@ def test_a_network_with_uncertainty_begins_as_the_one_without(block):
     assert len(one.independent_parts) == 1
 
 
-@pytest.mark.parametrize("seed", [1, 2])  # with 2, the head is over-confident in later epochs
+@pytest.mark.parametrize("seed", [1, 4])  # with 4, the head is over-confident in later epochs
 def test_everything_else_is_trained_and_kept_as_without_uncertainty(closed_form_scenes, tmp_path, seed):
     ended = []
     for name, chosen in (("plain", PLAIN), ("unsure", UNSURE)):
@@ -133,7 +133,7 @@ def test_everything_else_is_trained_and_kept_as_without_uncertainty(closed_form_
     losses = np.array(history["validation_loss"]) - np.array(history["validation_uncertainty"])
     np.testing.assert_allclose(losses, read_history(tmp_path / "plain")["validation_loss"], rtol=1e-9)
     assert not any(read_history(tmp_path / "plain")["validation_uncertainty"])
-    if seed == 2:
+    if seed == 4:
         assert np.argmin(history["validation_loss"]) != np.argmin(losses)
     one, other = (load_file(tmp_path / name / "best.safetensors") for name in ("plain", "unsure"))
     assert all(torch.equal(weight, other[name]) for name, weight in one.items())
