@@ -50,7 +50,10 @@ TABLE = [
     ("night-eval capture check {file} --fov nan", "nan is not in the range 1<=x<=170"),
     ("night-eval night-40x30 {data} --out {out} --mask-from depth", "the network predicts the mask itself"),
     ("night-eval night-40x30 {data} --out {out} --mask-threshold 1", "give a --mask-threshold below 1"),
-    ("night-render {data} --method magic", "unknown rendering method magic: choose batched or many-light or path"),
+    (
+        "night-render {data} --method magic",
+        "unknown rendering method magic: choose batched or many-light or path",
+    ),
     ("night-render {data} --spp 4", "--spp is an option of method path, and the method is many-light"),
     ("night-render {data} --product film", "'film' is not one of 'itof', 'transient', 'both'"),
     ("night-render {data} --error -1", "must be a finite number above 0, got -1.0"),
