@@ -306,11 +306,9 @@ class Renderer:
 
 
 def _result(work: Callable[..., _Result], *arguments: Any) -> _Result | Exception:
-    """What a function returns, or its error; an error of the machine (`OSError`) is raised."""
+    """What a function returns, or its error."""
     try:
         return work(*arguments)
-    except OSError:
-        raise
     except Exception as error:  # of any kind: one bad scene must not stop the others
         return error
 

@@ -26,7 +26,7 @@ from scenegen.preset import MOST_BOUNCES
 Product = Literal["transient", "itof", "both"]
 EDGES_KEY = "edge_divisions"  # of a recipe
 PRODUCTS: tuple[Product, ...] = ("transient", "itof", "both")
-_MOST_SCENES, _PIXELS_AT_ONCE, _USUAL_SIZE = 64, 2**20, (320, 240)  # of the batched engine
+_MOST_SCENES, _PIXELS_AT_ONCE = 64, 2**20  # of the batched engine
 _MOST_PIXELS = 2**26  # the ground truth traces the rays of all pixels at once
 # Copies of a row block in memory, as float32: bins and sum in float64, which count twice, and two in float32.
 _WORKING_COPIES = 6
@@ -80,13 +80,12 @@ class RenderSettings:
         """Whether phasors of many scenes are rendered at once, where the engine can."""
         return isinstance(self.options, BatchedOptions) and not self.wants_transients
 
-    @property
-    def scenes_at_once(self) -> int:
-        """How many scenes a worker renders at once, at most."""
+    def scenes_at_once(self, dataset: Dataset) -> int:
+        """How many scenes of a dataset a worker renders at once, at most."""
         if not self.is_batched:
             return 1
-        width, height = self.resolution or _USUAL_SIZE
-        return max(1, min(_MOST_SCENES, _PIXELS_AT_ONCE // (width * height)))
+        layout = self.layout(dataset)
+        return max(1, min(_MOST_SCENES, _PIXELS_AT_ONCE // (layout.width * layout.height)))
 
     @property
     def wants_transients(self) -> bool:

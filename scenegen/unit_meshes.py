@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from scenegen.shapes import Shape
 
+# Of the bent sheet, whose arc of ±1 rad fills the unit box: radii along x and y.
+ARC_DEPTH, ARC_WIDTH = float(1 / (1 - np.cos(1.0))), float(0.5 / np.sin(1.0))
 ARC_SEGMENTS = 64  # around every round primitive: a chord leaves a 0.28 m circle by 0.34 mm
 
 
@@ -27,6 +30,11 @@ class UnitMesh:
     vertices: NDArray[np.float32]
     triangles: NDArray[np.int32]
     outermost: NDArray[np.int64]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of vertices and triangles."""
+        return hashlib.sha256(self.vertices.tobytes() + self.triangles.tobytes()).hexdigest()
 
     @cached_property
     def hull(self) -> NDArray[np.float64]:

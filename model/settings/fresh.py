@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT
-from disk.quantities import Positive
 from scenegen import Preset, Scene
 from scenegen.geometry_check import refusal
 from scenegen.sampling import sample_valid_scene
@@ -25,11 +26,18 @@ class FreshScenes:
     Attributes
     ----------
     preset : of the scenes; its number of scenes and its splits do not matter.
-    error : error of their hidden light, relative to it.
+    meshes : digests (`UnitMesh.digest`) of the user's meshes, by shape.
     """
 
     preset: Preset
-    error: Positive
+    meshes: Annotated[dict[Shape, str], Field(exclude_if=lambda value: not value)] = field(
+        default_factory=dict
+    )
+
+    @classmethod
+    def of(cls, preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> FreshScenes:
+        """The stream of a preset with these meshes."""
+        return cls(preset, {shape: mesh.digest for shape, mesh in meshes.items()})
 
     def with_seed(self, seed: int) -> FreshScenes:
         """The stream of a training with this seed. No dataset of the preset has the same scenes."""
@@ -40,10 +48,8 @@ class FreshScenes:
     @property
     def fields_of_view_deg(self) -> tuple[float, ...]:
         """Smallest and largest horizontal field of view, degrees; empty if all scenes have the same."""
-        middle_deg, by_deg = (
-            self.preset.camera.horizontal_fov_deg,
-            self.preset.camera_spread.horizontal_fov_deg,
-        )
+        camera, spread = self.preset.camera, self.preset.camera_spread
+        middle_deg, by_deg = camera.horizontal_fov_deg, spread.horizontal_fov_deg
         return (middle_deg - by_deg, middle_deg + by_deg) if by_deg else ()
 
     def scene(self, index: int, meshes: Mapping[Shape, UnitMesh]) -> Scene:

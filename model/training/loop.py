@@ -109,7 +109,7 @@ def train(
         channels are kept, except the largest shift of the wall. A resumed run no longer needs this folder.
     fresh : train on new scenes of this preset, which worker processes draw and render meanwhile; no scene
         comes twice. The training scenes of `dataset` then scale the input, and its validation scenes judge.
-        A resumed run needs `fresh` only for `meshes`.
+        A resumed run needs it only if it has `meshes`, and then the same.
     meshes : the mesh files that the shapes of `fresh` name (`scenegen.making.meshes.read_meshes`).
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
@@ -132,7 +132,7 @@ def train(
             raise RunError(f"{out} goes on from its own weights: leave out resume or start_from")
         refuse_images_of_many_corners(dataset, settings)
         start = read_start(Path(start_from), settings) if start_from is not None else None
-        stream = FreshScenes(fresh, settings.run.fresh_error) if fresh else None
+        stream = FreshScenes.of(fresh, meshes or {}) if fresh else None
         with only_training(out, processes, check):
             return _train(
                 dataset, out, settings, processes, resume, start, stream, meshes or {}, memory_bytes
@@ -166,9 +166,11 @@ def _train(
     if shown and not before and not start:
         _log.info("scaling the input channels by the training scenes")
     if before is not None:
+        if fresh not in (None, before.fresh):
+            raise RunError(f"{out} was trained on other scenes than those of --fresh: leave --fresh out")
         fresh = before.fresh
     if fresh is not None:
-        refuse_other_corner(fresh.preset, dataset, shards, settings, meshes)
+        refuse_other_corner(fresh, dataset, shards, settings, meshes)
     config = _configure(dataset, shards, settings, before, start, fresh)
     change = changed_setting(before, config) if before else None
     if change:
@@ -198,7 +200,8 @@ def _train(
                 write_config(out, config)
         if not goes_on and not start:
             state.save(out, RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
-        return _run(state, out)
+        with closing(state):
+            return _run(state, out)
 
 
 def _configure(
@@ -280,7 +283,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
         show=state.settings.run.progress and is_first,
     )
     log = TrainingLog(out if is_first else None, done)
-    with Interruption() as interruption, shown as bar, closing(state):
+    with Interruption() as interruption, shown as bar:
         while len(state.history) < max_epochs and not state.out_of_patience():
             bar.set_description(f"epoch {len(state.history) + 1}", refresh=False)
             train_loss = train_epoch(state, out, bar, interruption)

@@ -15,6 +15,7 @@ from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
+from model.settings.fresh import FreshScenes
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
@@ -76,14 +77,14 @@ def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings)
 
 
 def refuse_other_corner(
-    preset: Preset,
+    fresh: FreshScenes,
     dataset: Dataset,
     shards: Shards,
     settings: TrainSettings,
     meshes: Mapping[Shape, UnitMesh],
 ) -> None:
-    """`TrainingError` if fresh scenes of a preset do not fit a dataset, or cannot be made for a training."""
-    problem = _corner_problem(preset, dataset, shards) or _fresh_problem(preset, settings, meshes)
+    """`TrainingError` if fresh scenes do not fit a dataset, or cannot be made for a training."""
+    problem = _corner_problem(fresh.preset, dataset, shards) or _fresh_problem(fresh, settings, meshes)
     if problem:
         raise TrainingError(problem)
 
@@ -106,10 +107,12 @@ def _corner_problem(preset: Preset, dataset: Dataset, shards: Shards) -> str | N
     return None
 
 
-def _fresh_problem(preset: Preset, settings: TrainSettings, meshes: Mapping[Shape, UnitMesh]) -> str | None:
+def _fresh_problem(
+    fresh: FreshScenes, settings: TrainSettings, meshes: Mapping[Shape, UnitMesh]
+) -> str | None:
     """Why fresh scenes cannot be made for a training."""
-    named = {shape for shape in preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)}
-    bounces, paper = preset.transient.max_bounces, settings.augmentation.paper
+    named = {shape for shape in fresh.preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)}
+    bounces, paper = fresh.preset.transient.max_bounces, settings.augmentation.paper
     if settings.run.ground_truth != "geometry":
         return "fresh scenes have no simulated ground truth: take run.ground_truth=geometry"
     if bounces != _BOUNCES:

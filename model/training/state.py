@@ -127,7 +127,8 @@ class TrainingState:
             # Threads that wait for each other on a busy core make a step ten times slower.
             torch.set_num_threads(max(1, min(torch.get_num_threads(), cores - rendering_cores)))
         threads = max(1, rendering_cores // run.workers)
-        rendering = Rendering(scenes.with_seed(run.seed), meshes, *size, run.device, threads)
+        stream = scenes.with_seed(run.seed)
+        rendering = Rendering(stream, meshes, *size, run.fresh_error, run.device, threads)
         return FreshFeed(
             *(FreshWorkers(rendering, run.workers), run.epoch_scenes, run.max_epochs, size[0] * size[1]),
             *(self.maker.upload_to_augment, self.processes),

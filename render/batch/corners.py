@@ -170,6 +170,18 @@ class Corners:
         good = some & (right - left > _EMPTY) & (ends[1] - ends[0] > _EMPTY)
         return np.where(good[:, None], found, whole)
 
+    def shows_edges(self) -> NDArray[np.bool_]:
+        """(N,) whether an image shows something else than the relay wall."""
+        edge, half = self.half / self.aspect, self.half[:, None]
+        first, last = self.visible(np.linspace(-1, 1, _ROWS) * edge[:, None])[:, :, 0].transpose(2, 0, 1)
+        cut: NDArray[np.bool_] = ((first != -half) | (last != half)).any(1)
+        return cut
+
+    def pixel_centres(self, width: int, height: int) -> tuple[Floats, Floats]:
+        """(N, W) x and (N, H) y of the pixel centres on the film."""
+        x, y = ((np.arange(count) + 0.5) / count * 2 - 1 for count in (width, height))
+        return x * self.half[:, None], y * (self.half / self.aspect)[:, None]
+
     def film(self, box: Floats, across: int, down: int) -> tuple[Floats, Floats]:
         """(N, L, 2) Gauss nodes over what the film sees of the relay wall, and (N, L) their film areas."""
         (x, wide), (y, high) = (np.polynomial.legendre.leggauss(count) for count in (across, down))

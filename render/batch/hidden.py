@@ -40,9 +40,10 @@ from render.batch.quadrature import (
     lattice_sizes,
     surface_nodes,
 )
+from render.batch.quadrics import is_convex
 from render.batch.tables import Scenes
 from scenegen.scene import Scene
-from scenegen.shapes import PRIMITIVES, Shape
+from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
 Floats = NDArray[np.float64]
@@ -54,6 +55,7 @@ _FIRST_ERROR: Final = 0.04  # for which the points begin with these levels:
 _CONVEX, _SHEET_OR_MESH, _SEVERAL = 1, 2, 2
 _FINEST: Final = 8  # level of the surface points
 _MOST_PASSES: Final = 8
+_TINY: Final = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ class HiddenRatios:
             values, of_points, of_lattice = self._evaluated(scenes, left, tried)
             error[left] = np.hypot(np.hypot(of_points, of_lattice), _LEAST * self.error)
             self._interpolate(scenes, left, tried.lattice, values, ratio)
-            short = error[left] > self.error
+            short = ~(error[left] <= self.error)  # also where it is no number
             effort.more(left[short], *_lacking(of_points[short], of_lattice[short]))
             again = effort.some(left)
             more = (again.surface > tried.surface) | (again.lattice > tried.lattice).any(1)
@@ -177,9 +179,7 @@ class HiddenRatios:
             places = np.flatnonzero((sizes == (across, down)).all(1))
             some = chosen[places]
             box, corners = scenes.box[some], scenes.corners.some(some)
-            edge = corners.half / corners.aspect
-            x = ((np.arange(self.width) + 0.5) / self.width * 2 - 1) * corners.half[:, None]
-            y = ((np.arange(self.height) + 0.5) / self.height * 2 - 1) * edge[:, None]
+            x, y = corners.pixel_centres(self.width, self.height)
             middle, half = box[:, ::2] + box[:, 1::2], box[:, 1::2] - box[:, ::2]
             columns = interpolation(across, (2 * x - middle[:, :1]) / half[:, :1])  # (n, W, across)
             rows = interpolation(down, (2 * y - middle[:, 1:]) / half[:, 1:])  # (n, H, down)
@@ -193,15 +193,12 @@ def _first_level(scene: Scene) -> int:
     shapes = [part.shape for part in scene.hidden_objects]
     if len(shapes) > 1:
         return _SEVERAL
-    return _CONVEX if shapes[0] in PRIMITIVES and shapes[0] != "concave_plane" else _SHEET_OR_MESH
+    return _CONVEX if is_convex(shapes[0]) else _SHEET_OR_MESH
 
 
 def _lacking(of_points: Floats, of_lattice: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which scenes lack points, and which lack nodes of the lattice: those whose error counts."""
     return of_points > 0.5 * of_lattice, of_lattice > 0.5 * of_points
-
-
-_TINY: Final = float(np.finfo(np.float32).tiny)
 
 
 def _norm(values: Ratios) -> float:

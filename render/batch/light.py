@@ -124,7 +124,7 @@ class BatchedLight:
         lines = ((np.arange(height)[:, None] + 0.5 + at / 2) / height * 2 - 1)[None] * edge[:, None, None]
         side = np.broadcast_to(corners.half[:, None, None], (count, lines[0].size, 1))
         parts = np.concatenate([-side, side, side, side], -1)  # the whole line
-        cut = np.flatnonzero(scenes.shows_edges)
+        cut = np.flatnonzero(corners.shows_edges())
         if len(cut):
             seen = corners.some(cut).visible(lines[cut].reshape(len(cut), -1))
             parts[cut] = seen.reshape(len(cut), -1, 4)
@@ -154,11 +154,9 @@ class BatchedLight:
 
         (width, height), corners, count = self.size, scenes.corners, len(scenes.scenes)
         scene, row, column = self._pixels(count)
-        half, edge = (
-            dr.gather(mi.Float, upload(each), scene) for each in (corners.half, corners.half / corners.aspect)
-        )
-        x = ((mi.Float(column) + 0.5) / dr.opaque(mi.Float, width) * 2 - 1) * half
-        y = ((mi.Float(row) + 0.5) / dr.opaque(mi.Float, height) * 2 - 1) * edge
+        columns, rows = corners.pixel_centres(width, height)
+        x = dr.gather(mi.Float, upload(columns), scene * dr.opaque(mi.UInt32, width) + column)
+        y = dr.gather(mi.Float, upload(rows), scene * dr.opaque(mi.UInt32, height) + row)
         ends = (
             dr.gather(mi.UInt32, upload_indices(each), scene)
             for each in (scenes.first_object[:-1], scenes.first_object[1:])

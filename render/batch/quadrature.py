@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.batch.corners import Corners, chebyshev
+from render.batch.quadrics import Hiding, quadric_of
 from render.batch.surface_points import UnitPoints, divided_points, surface_points
-from render.batch.tables import QUADRICS, PlacedObject, Scenes
+from render.batch.tables import PlacedObject, Scenes
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
@@ -153,7 +154,7 @@ def surface_nodes(scenes: Scenes, chosen: Ints, level: Ints, meshes: Mapping[Sha
             continue
         one = level_of[placed.scene]
         others = [each for each in scenes.objects_of(placed.scene) if each is not placed]
-        if others and placed.shape in QUADRICS:
+        if others and quadric_of(placed.shape)[1] is not Hiding.MESH:
             rows = _free_points(placed, others, one)
             rows = rows[_faces(rows, facing[placed.scene])]
             scene.append(np.full(len(rows), placed.scene))

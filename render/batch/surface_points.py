@@ -18,13 +18,12 @@ from scipy.spatial import KDTree
 
 from render.transport.lights.hidden_surface import spread_evenly, triangle_surface
 from scenegen.shapes import Shape
-from scenegen.unit_meshes import UnitMesh
+from scenegen.unit_meshes import ARC_DEPTH, ARC_WIDTH, UnitMesh, concave_arc
 
 Floats = NDArray[np.float64]
 _MESH_POINTS: Final = 100  # of a user's mesh at level 0
 _DIVISIONS: Final = 4  # levels of the points that tell what of a surface is inside another object
 _KEPT_MESHES: Final = 64  # whose points are kept
-SHEET_RAD: Final = 1.0  # half the angle of the arc of a bent sheet
 
 
 @dataclass(frozen=True)
@@ -135,13 +134,12 @@ def _sheet(finer: float) -> UnitPoints:
     across, up = round(8 * finer), round(4.5 * finer)
     node, weight = _gauss(across)
     height, share = _gauss(up)
-    angle, z = np.meshgrid(SHEET_RAD * (2 * node - 1), height - 0.5)  # (up, across)
-    deep, wide = 1 / (1 - math.cos(SHEET_RAD)), 0.5 / math.sin(SHEET_RAD)
-    points = np.stack([deep * (1 - np.cos(angle)) - 0.5, wide * np.sin(angle), z], axis=-1).reshape(-1, 3)
-    slope = np.stack([wide * np.cos(angle), -deep * np.sin(angle), 0 * angle], axis=-1).reshape(-1, 3)
-    speed = np.linalg.norm(slope, axis=1)
-    areas = np.outer(share, weight).ravel() * 2 * SHEET_RAD * speed
-    return UnitPoints(points, slope / speed[:, None], areas).both_sides()
+    angle, z = np.meshgrid(2 * node - 1, height - 0.5)  # (up, across), ±1 rad
+    points = np.stack([*concave_arc(angle), z], axis=-1).reshape(-1, 3)
+    slope = np.stack([ARC_WIDTH * np.cos(angle), -ARC_DEPTH * np.sin(angle), 0 * angle], axis=-1)
+    speed = np.linalg.norm(slope.reshape(-1, 3), axis=1)
+    areas = np.outer(share, weight).ravel() * 2 * speed
+    return UnitPoints(points, slope.reshape(-1, 3) / speed[:, None], areas).both_sides()
 
 
 _PRIMITIVES: dict[Shape, Callable[[float], UnitPoints]] = {

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from itof import phase_per_metre
 from render.batch.corners import Corners
+from render.batch.quadrics import Hiding, is_convex, quadric_of
 from scenegen.mitsuba_description import ROUGH_WALL_INDEX
 from scenegen.pose import rotation_matrix
 from scenegen.scene import HiddenObject, RelayWall, Scene
@@ -22,30 +23,8 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 Floats = NDArray[np.float64]
-_ROWS = 33  # of an image in which edges are looked for
 _CELL = 4.0  # distance of the unit meshes in their scene, in units of their box
 _GRID = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), -1).reshape(-1, 3)
-_DEEP, _WIDE = 1 / (1 - cos(1)), 0.5 / sin(1)  # of the arc of a bent sheet
-# x², y², z², x, z and 1 of the quadric of each primitive in its unit box, and how it hides light: as the box,
-# as the solid where it is not above 0, as the sheet where it is 0. A user's mesh has none.
-QUADRICS = {
-    "cube": (0, 0, 0, 0, 0, 0, 0),
-    "parallelepiped": (0, 0, 0, 0, 0, 0, 0),
-    "sphere": (1, 1, 1, 0, 0, -0.25, 1),
-    "cylinder": (1, 1, 0, 0, 0, -0.25, 1),
-    "cone": (1, 1, -0.25, 0, 0.25, -0.0625, 1),
-    "concave_plane": (
-        1 / _DEEP**2,
-        1 / _WIDE**2,
-        0,
-        (1 - 2 * _DEEP) / _DEEP**2,
-        0,
-        (0.25 - _DEEP) / _DEEP**2,
-        2,
-    ),
-}
-_MESH = (0, 0, 0, 0, 0, 0, 3)
-_CONVEX = ("cube", "cylinder", "sphere", "cone", "parallelepiped")
 
 
 @dataclass(frozen=True)
@@ -68,12 +47,11 @@ class PlacedObject:
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
         """(S,) whether points (S, 3) are inside it; nothing is inside a sheet or a user's mesh."""
-        *quadric, kind = QUADRICS.get(self.shape, _MESH)
-        if kind > 1:
+        if not is_convex(self.shape):
             return np.zeros(len(points), bool)
         own = (points - self.centre) @ self.axes / self.size
         x, y, z = own.T
-        a, b, c, d, e, f = quadric
+        a, b, c, d, e, f = quadric_of(self.shape)[0]
         inside: NDArray[np.bool_] = (np.abs(own) < 0.5).all(1)
         return inside & (a * x**2 + b * y**2 + c * z**2 + d * x + e * z + f <= 0)
 
@@ -89,7 +67,8 @@ class PlacedObject:
         rows = np.zeros((6, 4))
         rows[:3, :3], rows[:3, 3] = to_unit, -to_unit @ self.centre
         rows[3, 0] = _CELL * cell
-        rows[4:].flat[:7] = QUADRICS.get(self.shape, _MESH)
+        quadric, hiding = quadric_of(self.shape)
+        rows[4:].flat[:7] = (*quadric, hiding)
         return rows
 
 
@@ -99,6 +78,7 @@ class Scenes:
 
     Attributes
     ----------
+    scenes : as plain data.
     corners : their cameras and walls; `box` (N, 4) the part of each image that shows the relay wall.
     objects : all hidden objects, scene by scene.
     first_object : (N + 1,) of each scene.
@@ -115,16 +95,6 @@ class Scenes:
     def objects_of(self, scene: int) -> list[PlacedObject]:
         """The hidden objects of a scene."""
         return self.objects[self.first_object[scene] : self.first_object[scene + 1]]
-
-    @property
-    def shows_edges(self) -> NDArray[np.bool_]:
-        """(N,) whether an image shows something else than the relay wall."""
-        edge = self.corners.half / self.corners.aspect
-        rows = np.linspace(-1, 1, _ROWS) * edge[:, None]
-        first, last = self.corners.visible(rows)[:, :, 0].transpose(2, 0, 1)
-        half = self.corners.half[:, None]
-        cut: NDArray[np.bool_] = ((first != -half) | (last != half)).any(1)
-        return cut
 
 
 class World:
@@ -147,7 +117,7 @@ class World:
         import mitsuba as mi
 
         from render.batch.kernels.shadows import Shadows
-        from render.batch.kernels.wall import Batch, packed
+        from render.batch.kernels.wall import Batch
         from render.transport.kernels.arrays import upload, upload_indices
 
         corners = Corners.of(scenes)
@@ -163,19 +133,19 @@ class World:
         last = np.where(shadowing, first[1:], first[:-1])
         shadows = Shadows(
             *(self.scene, upload_indices(first[:-1]), upload_indices(last), upload(rows)),
-            any(shape not in QUADRICS for shape in self.cells),
+            any(quadric_of(shape)[1] is Hiding.MESH for shape in self.cells),
         )
         walls, transmittance = self._walls(scenes, corners)
         turns = [dr.opaque(mi.Float, float(k)) for k in phase_per_metre(frequencies_hz)]
-        batch = Batch(packed(walls), upload(transmittance), turns, shadows)
+        batch = Batch(upload(walls), upload(transmittance), turns, shadows)
         return Scenes(scenes, corners, corners.box(), objects, first, batch)
 
     def _walls(self, scenes: Sequence[Scene], corners: Corners) -> tuple[Floats, Floats]:
-        """(N, 24) numbers of `kernels.wall.Wall`, and (N, 64) what passes the wall's surface by cosine."""
-        from render.transport.kernels.rough_wall import surface_tables
+        """(N, 24) numbers of `kernels.wall.Wall`, and (N, COSINES) what passes the surface, by cosine."""
+        from render.transport.kernels.rough_wall import COSINES, surface_tables
 
         count = len(scenes)
-        rows, transmittance = np.zeros((count, 6, 4)), np.ones((count, 64))
+        rows, transmittance = np.zeros((count, 6, 4)), np.ones((count, COSINES))
         alpha, base, gloss = np.full(count, 0.5), np.full(count, 1 / np.pi), np.zeros(count)
         for number, scene in enumerate(scenes):
             roughness = scene.relay_wall.roughness
@@ -212,7 +182,7 @@ def _mesh_scene(meshes: Sequence[UnitMesh]) -> mi.Scene:
 def _can_be_in_shadow(scene: Scene) -> bool:
     """Whether an object can hide light from itself or from another one: only a single convex solid cannot."""
     shapes = [part.shape for part in scene.hidden_objects]
-    return len(shapes) > 1 or shapes[0] not in _CONVEX
+    return len(shapes) > 1 or not is_convex(shapes[0])
 
 
 def _dual(edges: Floats) -> Floats:
@@ -222,7 +192,7 @@ def _dual(edges: Floats) -> Floats:
 
 
 def _brightness(wall: RelayWall, camera_axes: Floats, camera_m: Floats) -> Floats:
-    """(4,) w and c of the wall's reflectance w · p + c at its points p, in camera axes ."""
+    """(4,) w and c of the wall's reflectance w · p + c at its points p, in camera axes."""
     if wall.darkening is None:
         return np.array([0, 0, 0, wall.reflectance])
     angle = radians(wall.darkening.direction_deg)

@@ -25,7 +25,7 @@ from render.farm.claims import Claim, claimed
 from render.farm.inventory import Inventory
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from scenegen import DatasetError, open_dataset, read_failure
+from scenegen import DatasetError, RenderRecord, open_dataset, read_failure
 
 MAX_ATTEMPTS = 2
 Kind = Literal["rendered", "present", "elsewhere", "failed", "stop"]
@@ -71,7 +71,7 @@ class Outcome:
         ``failed``: this attempt failed; ``stop``: no scene can be rendered, so the run ends.
     reason : one sentence about a failure or a stop.
     log : traceback and warnings.
-    seconds : rendering time.
+    seconds : rendering time, that of the job divided by its scenes.
     attributes : provenance of the rendered files.
     worker : host and process.
     final : whether another command has recorded this failure, so that the scene is not tried again.
@@ -104,16 +104,8 @@ def render_scenes(job: Job) -> list[Outcome]:
             return _stopped(job, _on_host(error))
         try:
             outcomes = _render(job, renderer, inventory)
-        except OSError as error:
-            reason = f"{error.filename or job.root}: {error.strerror or error}"
-            if error.errno in _HOPELESS or _is_full(Path(job.root)):
-                names = ", ".join(job.scene_ids[:1])
-                return _stopped(
-                    job, f"no space left for scene {names} ({reason}): free some space and start again"
-                )
-            return [Outcome(each, "failed", reason, traceback.format_exc()) for each in job.scene_ids]
-        except Exception as error:  # of any kind: one bad scene must not end the run
-            return [_failed(each, error) for each in job.scene_ids]
+        except Exception as error:  # of any kind: what happens to one job must not end the run
+            outcomes = [_failed(job, each, error) for each in job.scene_ids]
         return [replace(outcomes[0], grown=_grown(job.growth_bytes)), *outcomes[1:]]
 
 
@@ -121,9 +113,16 @@ def _stopped(job: Job, reason: str) -> list[Outcome]:
     return [Outcome(job.scene_ids[0], "stop", reason)]
 
 
-def _failed(scene_id: str, error: Exception) -> Outcome:
-    reason = " ".join(str(error).split()).removeprefix(f"scene {scene_id}: ")
+def _failed(job: Job, scene_id: str, error: Exception) -> Outcome:
+    """The answer about a scene that gave an error; a full disk stops the run."""
     text = "".join(traceback.format_exception(error))
+    if isinstance(error, OSError):
+        reason = f"{error.filename or job.root}: {error.strerror or error}"
+        if error.errno in _HOPELESS or _is_full(Path(job.root)):
+            reason = f"no space left for scene {scene_id} ({reason}): free some space and start again"
+            return Outcome(scene_id, "stop", reason, text)
+        return Outcome(scene_id, "failed", reason, text)
+    reason = " ".join(str(error).split()).removeprefix(f"scene {scene_id}: ")
     return Outcome(scene_id, "failed", reason or type(error).__name__, text)
 
 
@@ -133,31 +132,35 @@ def _render(job: Job, renderer: Renderer, inventory: Inventory) -> list[Outcome]
         outcomes: list[Outcome] = []
         for scene_id in job.scene_ids:
             claim = stack.enter_context(claimed(renderer.dataset.renders, scene_id))
-            known = _known(job, scene_id, claim, renderer, inventory)
-            if known is not None or claim is None:
-                outcomes.append(known or Outcome(scene_id, "elsewhere"))
+            if claim is None:
+                outcomes.append(Outcome(scene_id, "elsewhere"))
+            elif known := _known(job, scene_id, claim, renderer, inventory):
+                outcomes.append(known)
             else:
                 claims[scene_id] = claim
         started = time.perf_counter()
-        with _collected_warnings() as warnings:
-            for scene_id, result in zip(claims, renderer.render_all(list(claims)), strict=True):
-                if isinstance(result, Exception):
-                    outcomes.append(_failed(scene_id, result))
-                    continue
-                claims[scene_id].forget()
-                seconds, started = time.perf_counter() - started, time.perf_counter()
-                text, attributes = "\n".join(warnings), result.attributes
-                outcomes.append(Outcome(scene_id, "rendered", "", text, seconds, attributes))
-                warnings.clear()
-        return outcomes
+        for scene_id, result, warnings in _rendered(renderer, list(claims)):
+            if isinstance(result, Exception):
+                outcomes.append(_failed(job, scene_id, result))
+                continue
+            claims[scene_id].forget()
+            outcomes.append(Outcome(scene_id, "rendered", log=warnings, attributes=result.attributes))
+        seconds = (time.perf_counter() - started) / max(len(claims), 1)
+        return [replace(each, seconds=seconds if each.kind == "rendered" else 0) for each in outcomes]
 
 
-def _known(
-    job: Job, scene_id: str, claim: Claim | None, renderer: Renderer, inventory: Inventory
-) -> Outcome | None:
+def _rendered(
+    renderer: Renderer, scene_ids: list[str]
+) -> Iterator[tuple[str, RenderRecord | Exception, str]]:
+    """Each scene with its record or error, and the warnings before that."""
+    with _collected_warnings() as warnings:
+        for scene_id, result in zip(scene_ids, renderer.render_all(scene_ids), strict=True):
+            yield scene_id, result, "\n".join(warnings)
+            warnings.clear()
+
+
+def _known(job: Job, scene_id: str, claim: Claim, renderer: Renderer, inventory: Inventory) -> Outcome | None:
     """The answer about a scene that this job does not render; None if it renders it, and has begun."""
-    if claim is None:
-        return Outcome(scene_id, "elsewhere")
     state = inventory.state(scene_id)
     if state == "done":
         claim.forget()

@@ -131,8 +131,8 @@ class RenderQueue:
 
         A scene in `alone`, which failed before or was in the hands of another process, is a job of its own.
         """
+        count = min(self.settings.scenes_at_once(self.dataset), -(-len(waiting) // slots))
         scene_ids = [waiting.popleft()]
-        count = min(self.settings.scenes_at_once, -(-len(waiting) // slots))
         while len(scene_ids) < count and waiting and not {scene_ids[0], waiting[0]} & alone:
             scene_ids.append(waiting.popleft())
         return tuple(scene_ids)

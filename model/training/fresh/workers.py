@@ -43,6 +43,7 @@ class Rendering:
     scenes : the stream, with the training's seed.
     meshes : the user's meshes of its preset, by shape.
     width, height : of the images, pixels.
+    error : of the hidden light, relative to it.
     device : where to render.
     threads : of a worker, on the CPU.
     """
@@ -51,6 +52,7 @@ class Rendering:
     meshes: Mapping[Shape, UnitMesh]
     width: int
     height: int
+    error: float
     device: DeviceName
     threads: int
 
@@ -60,7 +62,7 @@ class Rendering:
 
         return BatchedLight(
             *(self.scenes.preset.itof.frequencies_hz, self.width, self.height),
-            error=self.scenes.error,
+            error=self.error,
             meshes=self.meshes,
             device=self.device,
             threads=self.threads,
@@ -71,16 +73,19 @@ class Rendering:
 
         Raises
         ------
-        FreshError : no light of the relay wall reaches the camera, or a value is not finite.
+        FreshError : none of the scenes shows hidden light, or a value is not finite.
         """
         scenes = [self.scenes.scene(index, self.meshes) for index in indices]
         images = light.images(scenes)
         phasors = images.direct + images.hidden
-        dark = ~np.isfinite(phasors).all((1, 2, 3)) | (np.abs(images.hidden).max((1, 2, 3)) == 0)
-        if dark.any():
+        wrong = ~np.isfinite(phasors).all((1, 2, 3))
+        if wrong.any():
+            scene = indices[int(np.argmax(wrong))]
+            raise FreshError(f"scene {scene} of the stream has values that are no numbers")
+        if not images.hidden.any():
             raise FreshError(
-                f"the preset's corner lets no light through in scene {indices[int(np.argmax(dark))]} of the "
-                "stream: the camera must see a part of the relay wall that the hidden object sees, too"
+                "the preset's corner lets no light through: the camera must see a part of the relay wall "
+                "that the hidden object sees, too"
             )
         depth_m = images.radial_depth_m
         mask = depth_m > 0

@@ -123,4 +123,6 @@ def over_direct(
         place += 1
     at = mi.Point3f(one.x, one.y, one.z)
     direct = wall.lobe(-at / one.w, -at / one.w, two.x, two.y) * one.w / (at.z**3)
-    return [each / direct for each in re], [each / direct for each in im]
+    seen = direct > 0  # else the camera does not see the wall there
+    re, im = ([dr.select(seen, each / direct, 0) for each in part] for part in (re, im))
+    return re, im

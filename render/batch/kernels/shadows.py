@@ -7,8 +7,9 @@ from typing import Final
 import drjit as dr
 import mitsuba as mi
 
+from render.batch.quadrics import Hiding
+
 FARTHEST_M: Final = 1024.0  # that a mirror image can be away
-BOX, SOLID, SHEET, MESH = range(4)  # how a quadric hides light
 _PARALLEL = 1e-12  # a way along a side of a box
 _ROOMY = 0.5 + 1e-3  # half the box of a unit mesh in which rays are cast
 _QUAD = mi.Vector4f
@@ -17,7 +18,7 @@ _QUAD = mi.Vector4f
 class Shadows:
     """What can hide light: the objects of each scene of the batch.
 
-    Primitives are closed forms: a quadric in the box of their unit mesh (`render.batch.tables.QUADRICS`).
+    Primitives are closed forms: a quadric in the box of their unit mesh (`render.batch.quadrics`).
     Rays are cast for the user's meshes, and for the depth of every object's facets.
 
     Attributes
@@ -51,20 +52,17 @@ class Shadows:
         near, far = (-b - root) * scale, (-b + root) * scale
         near, far = dr.minimum(near, far), dr.maximum(near, far)
         crossed = ((near > enters) & (near < leaves)) | ((far > enters) & (far < leaves))
-        # in a box that has a cone, the part of the double cone around its lower end
-        upwards = along.z > 0
-        low, high = (
-            dr.select(a < 0, dr.select(upwards, -dr.inf, far), near),
-            dr.select((a < 0) & ~upwards, dr.inf, far),
-        )
-        high = dr.select((a < 0) & upwards, near, high)
+        # A steep way through a double cone is inside before `near` and after `far`; the tip is up.
+        steep, upwards = a < 0, along.z > 0
+        low = dr.select(steep, dr.select(upwards, -dr.inf, far), near)
+        high = dr.select(steep, dr.select(upwards, near, dr.inf), far)
         within = dr.maximum(low, enters) < dr.minimum(high, leaves)
         real = dr.square(b) >= a * c
-        met = (kind == SOLID) & dr.select(real, within, a < 0)
-        met |= (kind == BOX) | ((kind == SHEET) & real & crossed)
+        met = (kind == Hiding.SOLID) & dr.select(real, within, steep)
+        met |= (kind == Hiding.BOX) | ((kind == Hiding.SHEET) & real & crossed)
         if self.has_meshes:
             origin, along, enters, leaves = self._in_box(index, point, to, _ROOMY)
-            casts = (enters < leaves) & (kind == MESH)
+            casts = (enters < leaves) & (kind == Hiding.MESH)
             ray = self._ray(index, origin, along, enters, leaves)
             return (inside & met) | (casts & self.world.ray_test(ray, active & casts))
         return inside & met

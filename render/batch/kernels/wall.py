@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
 from render.batch.kernels.shadows import Shadows
-from render.transport.kernels.arrays import upload
+from render.transport.kernels.rough_wall import COSINES
 from scenegen.mitsuba_description import ROUGH_WALL_INDEX as _INDEX
 
-COSINES: Final = 64  # entries of the table of what passes the wall's surface
 QUAD = mi.Vector4f  # four numbers that one gather reads
-
-
-def packed(*columns: NDArray[np.floating]) -> mi.Float:
-    """Numbers of each item side by side, in groups of four, from columns (M,) or (M, k)."""
-    table = np.concatenate([np.reshape(each, (len(each), -1)) for each in columns], axis=1)
-    room = -table.shape[1] % 4
-    return upload(np.pad(table, ((0, 0), (0, room))))
 
 
 class Batch:
@@ -30,7 +18,7 @@ class Batch:
     Attributes
     ----------
     walls : relay wall and occluder of each scene, as `Wall` reads them.
-    transmittance : (N, 64) share of light that passes the wall's surface, by cosine.
+    transmittance : (N, COSINES) share of light that passes the wall's surface, by cosine.
     phase_per_metre : opaque numbers, rad/m, of each frequency.
     shadows : what else can hide light.
     """

@@ -15,7 +15,7 @@ import numpy as np
 from scenegen.mitsuba_description import ROUGH_WALL_INDEX as _INDEX
 
 PLUGIN = "night_rough_wall"
-_COSINES = 64  # in the table of the transmittance, from 0 to 1
+COSINES = 64  # in the table of the transmittance, from 0 to 1
 _NODES = 32  # of its quadrature, along each axis
 
 
@@ -105,8 +105,8 @@ def register_rough_wall(variant: str) -> str:
 
         def _through(self, cosine: Any, active: Any) -> Any:
             """Share of light at this cosine that passes the facets."""
-            place = cosine * (_COSINES - 1)
-            below = dr.minimum(mi.UInt32(place), _COSINES - 2)
+            place = cosine * (COSINES - 1)
+            below = dr.minimum(mi.UInt32(place), COSINES - 2)
             ends = [dr.gather(mi.Float, self.transmittance, below + step, active) for step in (0, 1)]
             return dr.lerp(*ends, place - mi.Float(below))
 
@@ -125,14 +125,14 @@ def surface_tables(variant: str, alpha: float) -> tuple[np.ndarray, float]:
     import mitsuba as mi
 
     facets = mi.MicrofacetType.Beckmann
-    cosines = np.linspace(0, 1, _COSINES, dtype=np.float32).clip(1e-6)
+    cosines = np.linspace(0, 1, COSINES, dtype=np.float32).clip(1e-6)
     columns = (np.sqrt(1 - cosines**2), np.zeros_like(cosines), cosines)
     directions = mi.Vector3f(*(mi.Float(column) for column in columns))
     inside = np.array(mi.eval_reflectance(facets, alpha, alpha, directions, 1 / _INDEX))
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     place = [axis.ravel() for axis in np.meshgrid((node + 1) / 2, (node + 1) / 2)]
     weights = np.outer(weight, weight).ravel() / 4
-    lane = dr.arange(mi.UInt32, _COSINES * _NODES**2)
+    lane = dr.arange(mi.UInt32, COSINES * _NODES**2)
     incident = dr.gather(mi.Vector3f, directions, lane // _NODES**2)
     sample = mi.Point2f(*(dr.gather(mi.Float, mi.Float(axis), lane % _NODES**2) for axis in place))
     distribution = mi.MicrofacetDistribution(facets, dr.opaque(mi.Float, alpha), True)
@@ -141,5 +141,5 @@ def surface_tables(variant: str, alpha: float) -> tuple[np.ndarray, float]:
     refracted = mi.refract(incident, facet, cosine, inverse)
     passed = dr.select(refracted.z < 0, distribution.smith_g1(refracted, facet) * (1 - fresnel), 0)
     # not a matrix product, which numbers of threads round differently
-    transmittance = (np.array(passed).reshape(_COSINES, -1) * weights).sum(axis=1)
+    transmittance = (np.array(passed).reshape(COSINES, -1) * weights).sum(axis=1)
     return transmittance, float(2 * (inside * cosines).mean())
