@@ -88,8 +88,8 @@ def print_fresh(given: argparse.Namespace) -> None:
     print("\n| delivered to a training: pixels | error | scene pairs per hour |\n|---|---|---|")
     for size, error in [(size, float(error)) for size, error in given.rates or ()] or RATES:
         width, height = (int(number) for number in size.split("x"))
-        scenes = FreshScenes(load_preset(given.preset), error).with_seed(0)
-        workers = FreshWorkers(Rendering(scenes, {}, width, height, "cpu", cores), 1)
+        scenes = FreshScenes(load_preset(given.preset)).with_seed(0)
+        workers = FreshWorkers(Rendering(scenes, {}, width, height, error, "cpu", cores), 1)
         lists = iter([list(range(start, start + AT_ONCE)) for start in range(0, 8 * AT_ONCE, AT_ONCE)])
         results = workers.results(lists)
         next(results)

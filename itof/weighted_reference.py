@@ -16,6 +16,7 @@ SubpixelWeights = Literal["measured", "uniform"]
 # Neighbours that differ in brightness by more than this factor belong to different surfaces: the edge of a
 # wall, not a gradient on it. The lobe of a rough wall changes by up to 6 % from pixel to pixel at 20 x 15.
 _EDGE = 1.25
+_ANY_PHASE = 10.0  # radians; phases differ by at most 2π
 
 
 def weighted_reference(reference: PhasorsOf[A], amplitude: PixelsOf[Array]) -> PhasorsOf[A]:
@@ -52,8 +53,9 @@ def weighted_reference(reference: PhasorsOf[A], amplitude: PixelsOf[Array]) -> P
     seen = xp.astype(xp.asarray(amplitude), images.real.dtype)[..., None, :, :]  # (..., 1, H, W)
     weights = brightness_slopes(images.first, FrequencyImages(xp, seen, xp.zeros_like(seen)))
     log_amplitude = slopes(xp, images.log_amplitude, LARGEST_RATIO)
-    phase = xp.where(images.log_amplitude > -LARGEST_RATIO, images.phase, 1e3)
-    phase = slopes(xp, phase, 10.0, period=2 * math.pi)
+    # A pixel without light has no phase: one that is too far from all others to be compared with them.
+    phase = xp.where(images.log_amplitude > -LARGEST_RATIO, images.phase, 4 * _ANY_PHASE)
+    phase = slopes(xp, phase, _ANY_PHASE, period=2 * math.pi)
     real, imaginary = (dot(weights, each) / 12 for each in (log_amplitude, phase))
     return images.times(1 + real, imaginary)
 

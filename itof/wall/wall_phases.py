@@ -168,14 +168,13 @@ class WallPhases(Generic[A]):
         tangent = self.pixels.tangent(residual.depth_m)[..., None, :, :]
         groups = (*shape, max(weight.shape[-2], basis.shape[-3]))
         rows = [xp.broadcast_to(each, (*groups, *each.shape[-2:])) for each in (tangent, basis)]
-        right = left[..., None, :] if groups[-1] > 1 else left[..., None, :, :]
         rows = xp.concat(rows, axis=-2)  # (..., G, 3 + Q, n)
-        normal, right = _sums(
-            xp, rows * weight[..., None, :], (rows, right)
-        )  # (..., G, 3 + Q, 3 + Q or F or 1)
-        right = (
-            right if groups[-1] > 1 else xp.matrix_transpose(right)[..., 0, :, :, None]
-        )  # (..., F, 3 + Q, 1)
+        # Where all frequencies have the same rows, one product has their right sides side by side.
+        is_shared = groups[-1] == 1
+        sides = left[..., None, :, :] if is_shared else left[..., None, :]  # (..., G, F or 1, n)
+        normal, moments = _sums(xp, rows * weight[..., None, :], (rows, sides))
+        # (..., F, 3 + Q)
+        moments = xp.matrix_transpose(moments[..., 0, :, :]) if is_shared else moments[..., 0]
         top = xp.sum(normal[..., :3, :3] * k**2, axis=-3)
         side = xp.reshape(normal[..., 3:, :3] * k, (*shape, frequencies * count, 3))
         apart = xp.eye(frequencies, dtype=xp.float64, device=device(left))[:, None, :, None]
@@ -184,8 +183,8 @@ class WallPhases(Generic[A]):
         matrix = xp.concat(
             [xp.concat([top, xp.matrix_transpose(side)], axis=-1), xp.concat([side, own], axis=-1)], axis=-2
         )
-        along = xp.sum(right[..., :3, 0] * k[..., 0], axis=-2)  # (..., 3)
-        each = xp.reshape(right[..., 3:, 0], (*shape, frequencies * count))
+        along = xp.sum(moments[..., :3] * k[..., 0], axis=-2)  # (..., 3)
+        each = xp.reshape(moments[..., 3:], (*shape, frequencies * count))
         return matrix, xp.concat([along, each], axis=-1)
 
 

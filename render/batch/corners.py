@@ -130,17 +130,22 @@ class Corners:
         """
         edge = self.half[:, None] + 0 * y
         first, last = _within(self.relay.inequalities(), y, -edge, edge)
-        nearer = (
-            np.abs(self.relay.offset)[:, None] * np.sign(self.middle.offset)[:, None] * self.middle.across
-        )
-        nearer -= (
-            np.abs(self.middle.offset)[:, None] * np.sign(self.relay.offset)[:, None] * self.relay.across
-        )
-        hiding = np.concatenate([self.middle.inequalities(), nearer[:, None]], axis=1)
+        hiding = self.hiding()
         begin, end = _within(hiding, y, first, last)
         hides = end > begin
         begin, end = np.where(hides, begin, last), np.where(hides, end, last)
         return np.stack([np.stack([first, begin], -1), np.stack([end, last], -1)], -2)
+
+    def hiding(self) -> Floats:
+        """(N, 6, 3) vectors w: the middle wall hides the relay wall along r where w · r >= 0 for all six."""
+        signs = [np.sign(wall.offset)[:, None] for wall in (self.relay, self.middle)]
+        away = [np.abs(wall.offset)[:, None] for wall in (self.relay, self.middle)]
+        nearer = away[0] * signs[1] * self.middle.across - away[1] * signs[0] * self.relay.across
+        return np.concatenate([self.middle.inequalities(), nearer[:, None]], axis=1)
+
+    def edges(self) -> Floats:
+        """(N, 11, 3) vectors w: what is seen of the relay wall ends on lines w · (x, y, 1) = 0."""
+        return np.concatenate([self.relay.inequalities(), self.hiding()], axis=1)
 
     def box(self) -> Floats:
         """(N, 4) first and last x and y of what each image shows of the relay wall; the whole if nothing."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from render.backend import Device, select_variant
 from render.batch.hidden import HiddenRatios
+from render.batch.pixel_lines import PixelLines
 from render.batch.tables import Scenes, World
 from scenegen.scene import Scene
 from scenegen.shapes import PRIMITIVES, Shape
@@ -115,26 +116,15 @@ class BatchedLight:
         import mitsuba as mi
 
         from render.batch.kernels import images as kernels
-        from render.transport.kernels.arrays import upload
+        from render.transport.kernels.arrays import upload, upload_indices
 
         (width, height), corners, count = self.size, scenes.corners, len(scenes.scenes)
-        few, many = (np.polynomial.legendre.leggauss(n) for n in (kernels.Film.FEW, kernels.Film.MANY))
-        at = np.concatenate([few[0], many[0], [-1, 1]])
-        edge = corners.half / corners.aspect
-        lines = ((np.arange(height)[:, None] + 0.5 + at / 2) / height * 2 - 1)[None] * edge[:, None, None]
-        side = np.broadcast_to(corners.half[:, None, None], (count, lines[0].size, 1))
-        parts = np.concatenate([-side, side, side, side], -1)  # the whole line
-        cut = np.flatnonzero(corners.shows_edges())
-        if len(cut):
-            seen = corners.some(cut).visible(lines[cut].reshape(len(cut), -1))
-            parts[cut] = seen.reshape(len(cut), -1, 4)
-        film = kernels.Film(
-            *(upload(parts), upload(lines), upload(np.concatenate([few[1], many[1]]) / 2)),
-            *(dr.opaque(mi.UInt32, height), dr.opaque(mi.Float, width / 2)),
-        )
-        scene, row, column = self._pixels(count)
-        pixel = dr.gather(mi.Float, upload(2 * corners.half / width), scene)
-        sums = kernels.direct_return(scenes.batch, scene, row, column, pixel, film)
+        pixels = PixelLines.of(corners, width, height)
+        scene, _, column = self._pixels(count)
+        size = dr.gather(mi.Float, upload(2 * corners.half / width), scene)
+        left = (mi.Float(column) - dr.opaque(mi.Float, width / 2)) * size
+        ends = (upload_indices(each) for each in (pixels.first, pixels.last))
+        sums = kernels.direct_return(scenes.batch, scene, left, size, upload(pixels.lines), *ends)
         dr.eval(sums)
         power = np.pi * np.array([each.emitter.irradiance for each in scenes.scenes])
         direct = np.empty((count, height, width, len(self.frequencies_hz)), np.complex64)

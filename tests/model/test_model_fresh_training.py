@@ -12,6 +12,7 @@ from night_commands import night_here
 from training_runs import FLIP, checkpoint, preset_text, settings
 
 from model.settings.fresh import FreshScenes
+from model.run_folder.run_config import RunError
 from model.training.fresh.feed import FreshFeed
 from model.training.fresh.workers import FreshError, FreshWorkers, Rendering
 from model.training.loop import train
@@ -33,7 +34,7 @@ def preset():
 
 @pytest.fixture(scope="module")
 def rendering(preset):
-    return Rendering(FreshScenes(preset, 0.1).with_seed(5), {}, WIDTH, HEIGHT, "cpu", 1)
+    return Rendering(FreshScenes(preset).with_seed(5), {}, WIDTH, HEIGHT, 0.1, "cpu", 1)
 
 
 @pytest.fixture
@@ -65,7 +66,7 @@ def test_scenes_come_in_order_with_the_same_bits_from_one_worker_or_two(workers,
 
 
 def test_a_stream_is_that_of_its_seed_and_of_no_dataset(preset):
-    scenes = FreshScenes(preset, 0.1)
+    scenes = FreshScenes(preset)
     first, same, other = (scenes.with_seed(seed).scene(0, {}) for seed in (1, 1, 2))
     assert first == same
     assert first.hidden_objects != other.hidden_objects
@@ -86,8 +87,8 @@ def test_a_killed_worker_is_replaced_and_no_scene_is_lost(workers):
 
 def test_a_corner_without_light_is_named_once(preset):
     away = replace(preset, camera=replace(preset.camera, rotation_deg=(90.0, 0.0, 230.0)))
-    rendering = Rendering(FreshScenes(away, 0.1).with_seed(5), {}, WIDTH, HEIGHT, "cpu", 1)
-    with pytest.raises(FreshError, match="lets no light through in scene 0 of the stream"):
+    rendering = Rendering(FreshScenes(away).with_seed(5), {}, WIDTH, HEIGHT, 0.1, "cpu", 1)
+    with pytest.raises(FreshError, match="the preset's corner lets no light through"):
         rendering.rows(rendering.light(), [0, 1])
 
 
@@ -106,7 +107,7 @@ def test_a_feed_goes_on_at_any_batch_and_gives_each_process_its_part(workers, pr
     for all_rows, own in zip(whole, part, strict=True):
         mine = list(all_rows.rows)[1::2]
         assert np.array_equal(own.take(mine).phasors, all_rows.take(mine).phasors)
-        assert own.own.rows[0] not in all_rows.rows or own.own.rows[0] % 2 == 1
+        assert all(row % 2 == list(all_rows.rows)[1] % 2 for row in own.own.rows)
     second = batches(0, Processes(torch.device("cpu")), epoch=2)
     assert [row for batch in second for row in batch.rows] == list(range(10, 20))
 
@@ -138,7 +139,10 @@ def test_an_interrupted_training_ends_with_the_same_weights(closed_form_scenes, 
         patch.setattr("model.training.epoch._check_every", lambda state: 1)
         with pytest.raises(StopError):
             train(closed_form_scenes, broken, settings(**FEW), fresh=preset)
-    train(closed_form_scenes, broken, settings(**FEW), resume=True)
+    other = preset_from_dict(TABLES | {"relay_wall": {"reflectance": 0.5}}, "another")
+    with pytest.raises(RunError, match="on other scenes than those of --fresh"):
+        train(closed_form_scenes, broken, settings(**FEW), resume=True, fresh=other)
+    train(closed_form_scenes, broken, settings(**FEW), resume=True, fresh=preset)
     expected, found = (checkpoint(run)["network"] for run in (whole, broken))
     assert all(torch.equal(expected[name], found[name]) for name in expected)
 

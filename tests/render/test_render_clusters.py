@@ -95,7 +95,7 @@ def test_a_run_on_a_batch_system_renders_in_its_jobs(slurm, unrendered, seven_re
         "jobqueue:\n  slurm:\n    cores: 1\n    memory: 4GB\n    queue: cpu\n    interface: lo\n"
     )
     only = [word for scene_id in ("000000", "000003") for word in ("--only", scene_id)]
-    settings = [*SETTINGS, "--product", "itof", *only]
+    settings = [*SETTINGS, "--product", "itof", "--method", "many-light", *only]
     done = night_here(
         "night-render", unrendered, *settings, "--cluster", slurm / "cluster.yaml", "--workers", 2
     )

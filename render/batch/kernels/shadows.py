@@ -10,6 +10,7 @@ import mitsuba as mi
 from render.batch.quadrics import Hiding
 
 FARTHEST_M: Final = 1024.0  # that a mirror image can be away
+_BOX, _SOLID, _SHEET, _MESH = map(int, Hiding)  # DrJit takes plain numbers
 _PARALLEL = 1e-12  # a way along a side of a box
 _ROOMY = 0.5 + 1e-3  # half the box of a unit mesh in which rays are cast
 _QUAD = mi.Vector4f
@@ -58,11 +59,11 @@ class Shadows:
         high = dr.select(steep, dr.select(upwards, near, dr.inf), far)
         within = dr.maximum(low, enters) < dr.minimum(high, leaves)
         real = dr.square(b) >= a * c
-        met = (kind == Hiding.SOLID) & dr.select(real, within, steep)
-        met |= (kind == Hiding.BOX) | ((kind == Hiding.SHEET) & real & crossed)
+        met = (kind == _SOLID) & dr.select(real, within, steep)
+        met |= (kind == _BOX) | ((kind == _SHEET) & real & crossed)
         if self.has_meshes:
             origin, along, enters, leaves = self._in_box(index, point, to, _ROOMY)
-            casts = (enters < leaves) & (kind == Hiding.MESH)
+            casts = (enters < leaves) & (kind == _MESH)
             ray = self._ray(index, origin, along, enters, leaves)
             return (inside & met) | (casts & self.world.ray_test(ray, active & casts))
         return inside & met
