@@ -11,8 +11,8 @@ import torch
 from night_commands import night_here
 from training_runs import FLIP, checkpoint, preset_text, settings
 
-from model.settings.fresh import FreshScenes
 from model.run_folder.run_config import RunError
+from model.settings.fresh import FreshScenes
 from model.training.fresh.feed import FreshFeed
 from model.training.fresh.workers import FreshError, FreshWorkers, Rendering
 from model.training.loop import train
