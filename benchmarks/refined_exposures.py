@@ -27,7 +27,7 @@ from itof.wall.empty_corner import captured_wall
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
 from model.prediction.predictor import Predictor, load
-from model.refinement.light.room import room_of
+from model.refinement.light.corner_light import CornerLight, known_corner
 from model.refinement.refining import Family, refined
 from scenegen import MEASUREMENT_FILE, Dataset, open_dataset
 
@@ -85,7 +85,8 @@ def judged(
     prediction = predictor.at(view).predict(seen.phasor, corner, rescale=True)
     computed = view.direct_phasors(width, height, inputs.frequencies_hz)
     wall = captured_wall(corner, view.expected_wall(computed, inputs.frequencies_hz))
-    found = refined(seen.phasor, prediction, wall, room_of(dataset), Family(sizes_of(dataset)), seed=row)
+    corner, light = known_corner(dataset), CornerLight(inputs.frequencies_hz)
+    found = refined(seen.phasor, prediction, wall, corner, light, Family(sizes_of(dataset)), seed=row)
     expected_m = predictor.expected_mae_m(prediction)
     accepted = found is not None and found.is_right(prediction, expected_m, largest_misfit=largest_misfit)
     return judgement(block, prediction, found.depth_map if found and accepted else prediction, accepted)

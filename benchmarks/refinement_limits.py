@@ -13,7 +13,7 @@ Run:
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -29,10 +29,10 @@ from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.network.metrics import ImageMetrics, image_metrics, summarise
 from model.prediction.predictor import Predictor, load
-from model.refinement.light.room import Room, room_of
-from model.refinement.light.solids import KIND_OF_SHAPE
+from model.refinement.light.corner_light import CornerLight, known_corner
 from model.refinement.refining import Family, refined
 from scenegen import Dataset, open_dataset
+from scenegen.shapes import PRIMITIVES
 
 HEAD = """| | accepted | network: MAE cm | mIoU | object MAE cm | refined: MAE cm | mIoU | object MAE cm |
 |---|---|---|---|---|---|---|---|"""
@@ -91,16 +91,17 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=len(ROWS), help="only so many rows of the table")
     given = parser.parse_args()
     dataset = open_dataset(given.dataset)
-    shards, predictor, room = open_shards(dataset), load(given.run), room_of(dataset)
+    shards, predictor = open_shards(dataset), load(given.run)
+    light = CornerLight(predictor.config.inputs.frequencies_hz)
     rows = single_solids(dataset, shards, given.scenes)
     print(f"{len(rows)} scenes\n\n{HEAD}")
     for row in ROWS[: given.rows]:
-        found = [judged(row, predictor, dataset, shards, room, place) for place in rows]
+        found = [judged(row, predictor, dataset, shards, light, place) for place in rows]
         print(table(row.words, found), flush=True)
 
 
 def judged(
-    row: Row, predictor: Predictor, dataset: Dataset, shards: Shards, room: Room, place: int
+    row: Row, predictor: Predictor, dataset: Dataset, shards: Shards, light: CornerLight, place: int
 ) -> Judged:
     """A scene of the shards, changed as in a row."""
     block = shards.read([place])
@@ -112,8 +113,8 @@ def judged(
     wall = view.expected_wall(view.direct_phasors(width, height, frequencies_hz), frequencies_hz)
     prediction = predictor.at(view).predict(phasor, wall.direct)
     sizes = sizes_of(dataset, row.size_factor)
-    assumed = replace(room, plane_per_m=wall.plane_per_m)
-    found = refined(phasor, prediction, wall, assumed, Family(sizes, row.fits_sizes), seed=place)
+    family = Family(sizes, row.fits_sizes)
+    found = refined(phasor, prediction, wall, known_corner(dataset), light, family, seed=place)
     accepted = found is not None and found.is_right(prediction, predictor.expected_mae_m(prediction))
     better = found.depth_map if found is not None and accepted else prediction
     return judgement(block, prediction, better, accepted)
@@ -137,7 +138,7 @@ def sizes_of(dataset: Dataset, factor: float = 1.0) -> dict[str, tuple[float, fl
     """Extents of the shapes of a dataset that can be fitted, metres, times a factor."""
     hidden, sizes = dataset.preset.hidden_object, {}
     for shape in hidden.shapes:
-        if shape in KIND_OF_SHAPE:
+        if shape in PRIMITIVES:
             x, y, z = (factor * side for side in hidden.size_m.of(shape))
             sizes[shape] = (x, y, z)
     return sizes

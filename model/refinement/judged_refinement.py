@@ -22,7 +22,6 @@ from model.judging.refusals import (
     refuse_other_images,
 )
 from model.prediction.predictor import load
-from model.refinement.light.solids import KIND_OF_SHAPE
 from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport
 from model.refinement.refining import Family
@@ -32,6 +31,7 @@ from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import Dataset, Preset, Split
+from scenegen.shapes import PRIMITIVES
 
 RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
 TABLE_FILE, FIGURE_FILE = "refined.csv", "refined.png"
@@ -127,11 +127,11 @@ def _family(dataset: Dataset, objects: Preset | None, fitted: Sequence[Unknown])
             "shapes and sizes, --objects PRESET"
         )
     hidden = (dataset.preset if objects is None else objects).hidden_object
-    known = {shape: hidden.size_m.of(shape) for shape in hidden.shapes if shape in KIND_OF_SHAPE}
+    known = {shape: hidden.size_m.of(shape) for shape in hidden.shapes if shape in PRIMITIVES}
     if not known:
         raise EvaluationError(
             f"{dataset.root if objects is None else 'the preset of the objects'} has none of the shapes that "
-            f"can be fitted: {', '.join(KIND_OF_SHAPE)}"
+            f"can be fitted: {', '.join(PRIMITIVES)}"
         )
     is_known = "reflectance" not in fitted and hidden.least_reflectance is None
     return Family(known, "sizes" in fitted, hidden.reflectance if is_known else None)

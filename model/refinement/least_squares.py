@@ -1,7 +1,7 @@
-"""Moves solids until their hidden light is that of a measurement: Levenberg and Marquardt's method.
+"""Moves objects until their hidden light is that of a measurement: Levenberg and Marquardt's method.
 
-The unknowns are place and rotation of each solid, its extents if wanted, and the roughness of the relay wall.
-The derivatives are differences, because visibility has no derivatives of its own.
+The derivatives are differences, because visibility has no derivatives of its own. Many fits go side by side,
+because the engine computes the light of many candidates for little more than that of one.
 
 Source: Marquardt 1963, with the damping of each unknown in proportion to its own curvature.
 """
@@ -9,20 +9,20 @@ Source: Marquardt 1963, with the damping of each unknown in proportion to its ow
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from model.refinement.hidden_light import HiddenLight
-from model.refinement.light.rough_wall import ROUGHNESS
-from model.refinement.light.solids import Solid
-from model.refinement.light.three_bounces import Bounces
+from model.refinement.light.corner_light import CornerLight, with_wall_at
+from model.refinement.unknowns import Unknown, changed, unknowns
+from scenegen.scene import Scene, Wall
 
-_STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 5e-3, 0.0125, 1e-2, 2e-2  # of the differences
-_FARTHEST_M, _FARTHEST_RAD, _FARTHEST_SIZE, _FARTHEST_ROUGHNESS = 0.15, 0.5, 0.2, 0.3  # of one step
+Floats = NDArray[np.float64]
 _DAMPING, _MORE, _LESS, _LEAST_DAMPING = 1e-2, 4.0, 0.2, 1e-5
 _REFLECTANCE = (0.01, 1.5)  # above 1: the model and its quadrature may be too dark
 _TRIALS = 4  # of larger damping, before it is a minimum
@@ -30,40 +30,47 @@ _RIDGE: Final = 1e-12
 
 
 @dataclass(frozen=True)
-class Guess:
-    """Solids that may be there, and the roughness of the relay wall (None: it is Lambertian)."""
-
-    solids: tuple[Solid, ...]
-    roughness: float | None
-
-
-@dataclass(frozen=True)
 class Comparison:
-    """The hidden light of a measurement, and how that of a guess is computed.
+    """The hidden light of a measurement, and how that of candidates is computed.
 
     Attributes
     ----------
-    reflectance : of the solids; None: the one that explains most of the light, for each guess.
+    corner : known, whose relay wall is moved; its hidden objects do not matter.
+    light : of the corner.
+    fine : for an error of 1 % and not 3 %.
+    reflectance : of the objects, over that of the candidates'; None: the one that explains most of the light,
+        for each candidate.
     """
 
     observed: HiddenLight
-    bounces: Bounces
+    corner: Scene
+    light: CornerLight
+    fine: bool
     reflectance: float | None = 1.0
 
-    def misfit(self, guess: Guess) -> NDArray[np.float64]:
-        """(M,) values of a guess less those of the measurement."""
-        return self.observed.of_model(self._hidden(guess)[0]) - self.observed.values
+    def placed(self, candidate: Scene) -> Scene:
+        """The candidate with its relay wall where the measurement shows it."""
+        place = self._place
+        wall = replace(candidate.relay_wall, location_m=place.location_m, rotation_deg=place.rotation_deg)
+        return replace(candidate, relay_wall=wall)
 
-    def reflectance_of(self, guess: Guess) -> float:
-        """Reflectance of the solids: the known one, or the one that explains most."""
-        return self._hidden(guess)[1]
+    @cached_property
+    def _place(self) -> Wall:
+        return with_wall_at(self.corner, self.observed.plane_per_m).relay_wall
 
-    def with_wall_behind(self, guess: Guess) -> Comparison:
-        """With the relay wall where the measurement shows it once the light of a guess is taken out."""
-        observed = self.observed.with_wall_behind(self._hidden(guess)[0])
-        return replace(self, observed=observed, bounces=self.bounces.with_plane(observed.plane_per_m))
+    def misfits(self, candidates: Sequence[Scene]) -> list[Floats]:
+        """(M,) values of each candidate less those of the measurement."""
+        return misfits([(self, candidate) for candidate in candidates])
 
-    def unexplained(self, misfit: NDArray[np.float64]) -> float:
+    def reflectance_of(self, candidate: Scene) -> float:
+        """Reflectance of the objects: the known one, or the one that explains most."""
+        return _hidden([(self, candidate)])[0][1]
+
+    def with_wall_behind(self, candidate: Scene) -> Comparison:
+        """With the relay wall where the measurement shows it once the light of a candidate is taken out."""
+        return replace(self, observed=self.observed.with_wall_behind(_hidden([(self, candidate)])[0][0]))
+
+    def unexplained(self, misfit: Floats) -> float:
         """Like `relative`, of the part of a misfit that is not noise."""
         beyond = max(float(misfit @ misfit) - self.observed.noise_power, 0.0)
         return math.sqrt(beyond) / float(np.linalg.norm(self.observed.values))
@@ -73,24 +80,41 @@ class Comparison:
         """Noise of the measurement's values over these values, root mean squares."""
         return math.sqrt(self.observed.noise_power) / float(np.linalg.norm(self.observed.values))
 
-    def relative(self, misfit: NDArray[np.float64]) -> float:
+    def relative(self, misfit: Floats) -> float:
         """Root mean square of a misfit over that of the measurement's values."""
         return float(np.linalg.norm(misfit) / np.linalg.norm(self.observed.values))
 
-    def _hidden(self, guess: Guess) -> tuple[NDArray[np.complex128], float]:
-        """(P, F) hidden over direct light, and the reflectance by which it is in proportion."""
-        white = self.bounces.over_direct(guess.solids, guess.roughness)
-        if self.reflectance is not None:
-            return self.reflectance * white, self.reflectance
-        light = self.observed.of_model(white)
-        power = max(float(light @ light), float(np.finfo(float).tiny))
-        reflectance = float(np.clip(light @ self.observed.values / power, *_REFLECTANCE))
-        return reflectance * white, reflectance
+
+Asked = Sequence[tuple[Comparison, Scene]]
+
+
+def misfits(asked: Asked) -> list[Floats]:
+    """(M,) values of candidates less those of their measurements, all with the same rays and one engine."""
+    return [
+        comparison.observed.of_model(hidden) - comparison.observed.values
+        for (comparison, _), (hidden, _) in zip(asked, _hidden(asked), strict=True)
+    ]
+
+
+def _hidden(asked: Asked) -> list[tuple[NDArray[np.complex128], float]]:
+    """(P, F) hidden over direct light of each candidate, and the reflectance by which it is in proportion."""
+    first = asked[0][0]
+    placed = [comparison.placed(candidate) for comparison, candidate in asked]
+    found = []
+    whites = first.light.over_direct(placed, first.observed.rays, fine=first.fine)
+    for (comparison, _), white in zip(asked, whites, strict=True):
+        reflectance = comparison.reflectance
+        if reflectance is None:
+            light = comparison.observed.of_model(white)
+            power = max(float(light @ light), float(np.finfo(float).tiny))
+            reflectance = float(np.clip(light @ comparison.observed.values / power, *_REFLECTANCE))
+        found.append((reflectance * white, reflectance))
+    return found
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A guess, and the part of the hidden light that it does not explain.
+    """A candidate, and the part of the hidden light that it does not explain.
 
     Attributes
     ----------
@@ -98,97 +122,92 @@ class Fit:
     unexplained : the same without noise.
     """
 
-    guess: Guess
+    comparison: Comparison
+    candidate: Scene
     misfit: float
     unexplained: float
 
 
+@dataclass
+class _Going:
+    """A fit on its way."""
+
+    comparison: Comparison
+    candidate: Scene
+    misfit: Floats
+    damping: float = _DAMPING
+    has_ended: bool = False
+
+
 def fitted(
-    comparison: Comparison,
-    start: Guess,
+    starts: Asked,
     *,
     steps: int,
     roughness: bool = False,
     sizes: bool = False,
     enough: float = 1e-3,
-) -> Fit:
-    """The nearest minimum of the misfit, after at most so many steps.
+) -> list[Fit]:
+    """The nearest minimum of the misfit of each start, after at most so many steps.
 
     Parameters
     ----------
+    starts : comparisons with the same rays and one engine.
     roughness : whether the roughness of the relay wall is an unknown, too.
-    sizes : whether the extents of the solids are unknowns, too.
+    sizes : whether the extents of the objects are unknowns, too.
     enough : stop when a step lowers the squared misfit by a smaller share.
     """
-    guess, damping = start, _DAMPING
-    misfit = comparison.misfit(guess)
+    if not starts:
+        return []
+    fits = [_Going(*start, misfit) for start, misfit in zip(starts, misfits(starts), strict=True)]
     for _ in range(steps):
-        unknowns = list(_unknowns(guess, roughness, sizes))
-        columns = [(comparison.misfit(_moved(guess, u, u.step)) - misfit) / u.step for u in unknowns]
-        jacobian = np.stack(columns, axis=1)  # (M, U)
-        normal, slope = jacobian.T @ jacobian, jacobian.T @ misfit
-        before, tried = misfit, None
-        for _ in range(_TRIALS):
-            ridge = damping * np.diag(normal) + _RIDGE * np.trace(normal) + np.finfo(float).tiny
-            change = np.linalg.solve(normal + np.diag(ridge), -slope)
-            candidate = _changed(guess, unknowns, change)
-            values = comparison.misfit(candidate)
-            if values @ values < before @ before:
-                tried = candidate
+        going = [fit for fit in fits if not fit.has_ended]
+        if going:
+            _step(going, roughness, sizes, enough)
+    return [
+        Fit(
+            *(fit.comparison, fit.candidate),
+            *(fit.comparison.relative(fit.misfit), fit.comparison.unexplained(fit.misfit)),
+        )
+        for fit in fits
+    ]
+
+
+def _step(fits: Sequence[_Going], roughness: bool, sizes: bool, enough: float) -> None:
+    """One step of each fit: it takes the smallest of a few dampings that lowers its misfit."""
+    trials = []
+    for fit, (numbers, jacobian) in zip(fits, _jacobians(fits, roughness, sizes), strict=True):
+        normal, slope = jacobian.T @ jacobian, jacobian.T @ fit.misfit
+        least = _RIDGE * np.trace(normal) + np.finfo(float).tiny
+        for trial in range(_TRIALS):
+            damping = fit.damping * _MORE**trial
+            ridge = np.diag(damping * np.diag(normal) + least)
+            change = np.linalg.solve(normal + ridge, -slope)
+            trials.append((damping, changed(fit.candidate, numbers, change)))
+    asked = [(fits[place // _TRIALS].comparison, candidate) for place, (_, candidate) in enumerate(trials)]
+    tried = misfits(asked)
+    for place, fit in enumerate(fits):
+        before, fit.has_ended = fit.misfit @ fit.misfit, True
+        for number in range(place * _TRIALS, (place + 1) * _TRIALS):
+            after = tried[number] @ tried[number]
+            if after < before:
+                damping, fit.candidate = trials[number]
+                fit.misfit, fit.damping = tried[number], max(damping * _LESS, _LEAST_DAMPING)
+                fit.has_ended = bool(before - after < enough * before)
                 break
-            damping *= _MORE
-        if tried is None:
-            break
-        guess, misfit, damping = tried, values, max(damping * _LESS, _LEAST_DAMPING)
-        if before @ before - misfit @ misfit < enough * (before @ before):
-            break
-    return Fit(guess, comparison.relative(misfit), comparison.unexplained(misfit))
 
 
-@dataclass(frozen=True)
-class _Unknown:
-    """One number: of which solid, of which kind, and which of its kind."""
-
-    solid: int
-    kind: str
-    place: int
-    step: float
-
-
-def _unknowns(guess: Guess, roughness: bool, sizes: bool) -> Iterator[_Unknown]:
-    for index, solid in enumerate(guess.solids):
-        yield from (_Unknown(index, "place", axis, _STEP_M) for axis in range(3))
-        if solid.turns:
-            yield from (_Unknown(index, "turn", axis, _STEP_RAD) for axis in range(3))
-        if sizes:
-            yield from (_Unknown(index, "size", axis, _STEP_SIZE) for axis in range(len(solid.stretches)))
-    if roughness and guess.roughness is not None:
-        inwards = 1 if guess.roughness < sum(ROUGHNESS) / 2 else -1
-        yield _Unknown(0, "roughness", 0, inwards * _STEP_ROUGHNESS)
-
-
-def _moved(guess: Guess, unknown: _Unknown, by: float) -> Guess:
-    return _changed(guess, [unknown], np.array([by]))
-
-
-def _changed(guess: Guess, unknowns: list[_Unknown], change: NDArray[np.float64]) -> Guess:
-    """The guess with its unknowns changed, but not by more than is likely to be better."""
-    solids = []
-    for index, solid in enumerate(guess.solids):
-        move, turn, size = np.zeros(3), np.zeros(3), np.zeros(len(solid.stretches))
-        for vector, kind in ((move, "place"), (turn, "turn"), (size, "size")):
-            for unknown, value in zip(unknowns, change, strict=True):
-                if unknown.solid == index and unknown.kind == kind:
-                    vector[unknown.place] = value
-        moved = solid.moved(_shortened(move, _FARTHEST_M), _shortened(turn, _FARTHEST_RAD))
-        solids.append(moved.stretched(_shortened(size, _FARTHEST_SIZE)))
-    roughness = guess.roughness
-    if roughness is not None and unknowns[-1].kind == "roughness":
-        by = float(np.clip(change[-1], -_FARTHEST_ROUGHNESS, _FARTHEST_ROUGHNESS))
-        roughness = min(max(roughness + by, ROUGHNESS[0]), ROUGHNESS[1])
-    return replace(guess, solids=tuple(solids), roughness=roughness)
-
-
-def _shortened(vector: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
-    length = math.sqrt(vector @ vector)
-    return vector if length <= longest else vector * (longest / length)
+def _jacobians(
+    fits: Sequence[_Going], roughness: bool, sizes: bool
+) -> list[tuple[Sequence[Unknown], Floats]]:
+    """The unknowns of each fit, and (M, U) the derivatives of its values by them."""
+    numbers = [unknowns(fit.candidate, roughness, sizes) for fit in fits]
+    moved = [
+        (fit.comparison, changed(fit.candidate, [each], np.array([each.step])))
+        for fit, own in zip(fits, numbers, strict=True)
+        for each in own
+    ]
+    found = iter(misfits(moved))
+    return [
+        (own, np.stack([(next(found) - fit.misfit) / each.step for each in own], axis=1))
+        for fit, own in zip(fits, numbers, strict=True)
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,20 +11,18 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
-from model.device import one_thread
 from model.refinement.hidden_light import HiddenLight
-from model.refinement.least_squares import Comparison, Fit, Guess, fitted
-from model.refinement.light.room import Room
-from model.refinement.light.solids import Solid
-from model.refinement.light.three_bounces import Bounces
-from model.refinement.search import Sketch, starts
+from model.refinement.least_squares import Comparison, Fit, fitted
+from model.refinement.light.corner_light import CornerLight
+from model.refinement.search import Sketch
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT
+from scenegen.scene import HiddenObject, Scene
+from scenegen.shapes import Shape
 
 _USUAL_MISFIT = 0.006  # of the right solid; its square weighs as much against a fit as that of `_USUAL_M`
 _USUAL_M = 0.02  # difference of a network's depth map
 _SAME_M = 0.004  # two fits whose mirror images differ by less are one
 _CERTAIN = 0.006  # a fit that leaves less unexplained ends the search
-_PROMISING = 0.012  # a few steps on coarse grids that leave less are followed at once, if noise allows
 _ROUGHNESS = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _FEW_STEPS, _MANY_STEPS, _FINE_STEPS, _WALLS = 3, 10, 4, 2
 
@@ -63,7 +61,7 @@ class Family:
     reflectance : of the object; None: it is not known.
     """
 
-    sizes: Mapping[str, tuple[float, float, float]]
+    sizes: Mapping[Shape, tuple[float, float, float]]
     fits_sizes: bool = False
     reflectance: float | None = 1.0
 
@@ -74,7 +72,7 @@ class Refined:
 
     Attributes
     ----------
-    solid : in camera axes.
+    solid : in world axes; its own reflectance is 1.
     reflectance : of the solid.
     roughness : of the relay wall; None if it is Lambertian.
     misfit : part of the hidden light that is not explained (root mean squares), without noise.
@@ -82,7 +80,7 @@ class Refined:
     depth_map : mirror image of the solid.
     """
 
-    solid: Solid
+    solid: HiddenObject
     reflectance: float
     roughness: float | None
     misfit: float
@@ -125,7 +123,8 @@ def refined(
     phasor: NDArray[np.complexfloating[Any, Any]],
     prediction: DepthMap,
     wall: ExpectedWall,
-    room: Room,
+    corner: Scene,
+    light: CornerLight,
     family: Family,
     *,
     seed: int = 0,
@@ -137,47 +136,41 @@ def refined(
     phasor : (H, W, F) complex at the frequencies of `wall`.
     prediction : the network's depth map (H, W).
     wall : where the relay wall is expected; it may be off as far as for ``reference = "self"``.
-    room : the corner; its relay wall is moved to where the measurement shows it.
+    corner : its relay wall is moved to where the measurement shows it; its hidden objects do not matter.
+    light : of the corner, at the frequencies of `wall`.
     seed : of the rotations that are tried.
 
     Returns
     -------
     None where the prediction shows no object, or too little of the relay wall is seen.
     """
-    reflectance = family.reflectance
-    fine, coarse = (_comparison(phasor, wall, room, reflectance, fine=fine) for fine in (True, False))
+    fine, coarse = (HiddenLight.of(phasor, wall, fine=fine) for fine in (True, False))
     if fine is None or coarse is None:
         return None
-    sketch = Sketch.of(fine.bounces.room, wall.rays, prediction)
+    sketch = Sketch.of(light, corner, fine.plane_per_m, wall.rays, prediction)
     if sketch.is_empty:
         return None
-    with one_thread():
-        found = _Search(coarse, fine, sketch, family).best(np.random.default_rng(seed))
-    if found is None:
-        return None
-    best, comparison = found
-    depth_m = comparison.bounces.room.mirrored_depth_m(best.guess.solids, wall.rays)
-    depth_map = DepthMap.of_object(depth_m, depth_m > 0, prediction.frequency_hz)
-    explaining = comparison.reflectance_of(best.guess)
-    return Refined(
-        best.guess.solids[0], explaining, best.guess.roughness, best.unexplained, comparison.noise, depth_map
+    search = _Search(
+        Comparison(coarse, corner, light, fine=False, reflectance=family.reflectance),
+        Comparison(fine, corner, light, fine=True, reflectance=family.reflectance),
+        sketch,
+        family,
     )
-
-
-def _comparison(
-    phasor: NDArray[np.complexfloating[Any, Any]],
-    wall: ExpectedWall,
-    room: Room,
-    reflectance: float | None,
-    *,
-    fine: bool,
-) -> Comparison | None:
-    observed = HiddenLight.of(phasor, wall, fine=fine)
-    if observed is None:
+    best = search.best(np.random.default_rng(seed))
+    if best is None:
         return None
-    found, aspect = room.with_plane(observed.plane_per_m), phasor.shape[1] / phasor.shape[0]
-    bounces = Bounces(found, observed.rays, aspect, wall.frequencies_hz, fine=fine)
-    return Comparison(observed, bounces, reflectance)
+    comparison, candidate = best.comparison, best.candidate
+    rays = wall.rays.reshape(-1, 3)
+    depth_m = light.mirrored_depth_m([comparison.placed(candidate)], rays).reshape(wall.rays.shape[:2])
+    depth_map = DepthMap.of_object(depth_m, depth_m > 0, prediction.frequency_hz)
+    return Refined(
+        candidate.hidden_objects[0],
+        comparison.reflectance_of(candidate),
+        candidate.relay_wall.roughness,
+        best.unexplained,
+        comparison.noise,
+        depth_map,
+    )
 
 
 @dataclass(frozen=True)
@@ -189,73 +182,82 @@ class _Search:
     sketch: Sketch
     family: Family
 
-    def best(self, rng: np.random.Generator) -> tuple[Fit, Comparison] | None:
-        """The best fit, and the comparison with the wall where it is behind this solid; None without any."""
-        best: tuple[Fit, Comparison] | None = None
+    def best(self, rng: np.random.Generator) -> Fit | None:
+        """The best fit, with the wall where it is behind this solid; None without any."""
+        best: list[Fit] = []
         for effort in _ROUNDS:
-            found = self._round(effort, rng)
-            if found is not None and (best is None or self._cost(found[0]) < self._cost(best[0])):
-                best = found
-            if found is not None and found[0].unexplained <= _CERTAIN:
+            best = self._sorted([*best, *self._round(effort, rng)])[:1]
+            if best and best[0].unexplained <= _CERTAIN:
                 break
-        return best
+        return best[0] if best else None
 
-    def _round(self, effort: _Effort, rng: np.random.Generator) -> tuple[Fit, Comparison] | None:
-        """The best fit of a search; shapes whose mirror images are most like the depth map come first."""
-        sizes = self.family.sizes.items()
-        drawn = [starts(self.sketch, shape, size_m, effort.drawn, rng) for shape, size_m in sizes]
-        drawn = [solids[: effort.lit] for solids in drawn if solids]
-        drawn.sort(key=lambda solids: self.sketch.difference_m(solids[:1]))
-        stepped: list[Fit] = []
-        for solids in drawn:
-            stepped += self._stepped([self._lit(solid) for solid in solids], effort.stepped)
-            nearest = min(stepped, key=self._cost)
-            if nearest.unexplained <= _PROMISING and self.fine.noise <= _CERTAIN:
-                found = self._polished(self._finished(nearest))
-                if found[0].unexplained <= _CERTAIN:
-                    return found
-        finished: list[Fit] = []
-        for start in sorted(stepped, key=self._cost)[: effort.finished]:
-            if not any(self._same(start, other) for other in finished):
-                finished.append(self._finished(start))
-        polished = [self._polished(fit) for fit in sorted(finished, key=self._cost)[: effort.polished]]
-        return min(polished, key=lambda found: self._cost(found[0]), default=None)
+    def _round(self, effort: _Effort, rng: np.random.Generator) -> list[Fit]:
+        """The fits of a search."""
+        stepped: list[tuple[Comparison, Scene]] = []
+        for lit in self._lit(effort, rng):
+            stepped += self._different(lit, effort.stepped)
+        few = fitted(stepped, steps=_FEW_STEPS, roughness=True)
+        chosen = self._different(self._sorted(few), effort.finished)
+        many = fitted(chosen, steps=_MANY_STEPS, roughness=True)
+        return self._polished(self._sorted(many)[: effort.polished])
 
-    def _finished(self, start: Fit) -> Fit:
-        return fitted(self.coarse, start.guess, steps=_MANY_STEPS, roughness=True)
+    def _lit(self, effort: _Effort, rng: np.random.Generator) -> list[list[Fit]]:
+        """Starts of each shape with the roughness of the wall that explains most; the best come first."""
+        shapes = []
+        for shape, size_m in self.family.sizes.items():
+            found, _ = self.sketch.starts(shape, size_m, effort.drawn, rng)
+            shapes.append(found[: effort.lit])
+        wall = self.sketch.corner.relay_wall
+        walls = [wall]
+        if wall.roughness is not None:
+            walls = [replace(wall, roughness=roughness) for roughness in _ROUGHNESS]
+        starts = [
+            (self.coarse, replace(start, relay_wall=each))
+            for found in shapes
+            for start in found
+            for each in walls
+        ]
+        fits = fitted(starts, steps=0)
+        best = [
+            min(fits[place : place + len(walls)], key=lambda fit: fit.misfit)
+            for place in range(0, len(fits), len(walls))
+        ]
+        ordered = []
+        for found in shapes:
+            own, best = best[: len(found)], best[len(found) :]
+            ordered.append(sorted(own, key=lambda fit: fit.misfit))
+        return ordered
 
-    def _lit(self, solid: Solid) -> Fit:
-        """With the roughness of the wall that explains most."""
-        choices = _ROUGHNESS if self.coarse.bounces.room.is_rough else (None,)
-        guesses = [Guess((solid,), roughness) for roughness in choices]
-        fits = [fitted(self.coarse, guess, steps=0) for guess in guesses]
-        return min(fits, key=lambda fit: fit.misfit)
+    def _different(self, fits: Sequence[Fit], count: int) -> list[tuple[Comparison, Scene]]:
+        """The first fits of which none is like another one."""
+        depths_m = self.sketch.depths_m([fit.candidate for fit in fits]) if fits else np.zeros((0, 0))
+        chosen: list[int] = []
+        for place, depth_m in enumerate(depths_m):
+            apart_m = [np.abs(depth_m - depths_m[other]).mean() for other in chosen]
+            if len(chosen) < count and all(each >= _SAME_M for each in apart_m):
+                chosen.append(place)
+        return [(fits[place].comparison, fits[place].candidate) for place in chosen]
 
-    def _stepped(self, lit: Sequence[Fit], count: int) -> list[Fit]:
-        """The best of some guesses, none like another, after a few steps."""
-        chosen: list[Fit] = []
-        for fit in sorted(lit, key=lambda fit: fit.misfit):
-            if len(chosen) < count and not any(self._same(fit, other) for other in chosen):
-                chosen.append(fit)
-        return [fitted(self.coarse, fit.guess, steps=_FEW_STEPS, roughness=True) for fit in chosen]
-
-    def _polished(self, fit: Fit) -> tuple[Fit, Comparison]:
-        """Minimum of the fine comparison, with the wall found again behind the solid."""
-        comparison = self.fine
+    def _polished(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Minima of the fine comparison, with the wall found again behind each solid."""
+        starts = [(self.fine, fit.candidate) for fit in fits]
+        found: list[Fit] = []
         for _ in range(_WALLS):
-            comparison = comparison.with_wall_behind(fit.guess)
-            sizes = self.family.fits_sizes
-            fit = fitted(comparison, fit.guess, steps=_FINE_STEPS, roughness=True, sizes=sizes)
-        return fit, comparison
+            starts = [(each.with_wall_behind(candidate), candidate) for each, candidate in starts]
+            found = fitted(starts, steps=_FINE_STEPS, roughness=True, sizes=self.family.fits_sizes)
+            starts = [(fit.comparison, fit.candidate) for fit in found]
+        return found
 
-    def _same(self, one: Fit, two: Fit) -> bool:
-        depths = [self.sketch.room.mirrored_depth_m(fit.guess.solids, self.sketch.rays) for fit in (one, two)]
-        return float(np.abs(depths[0] - depths[1]).mean()) < _SAME_M
-
-    def _cost(self, fit: Fit) -> float:
-        """Squares of the misfit and of the difference to the network's depth map, in units of their own.
+    def _sorted(self, fits: Sequence[Fit]) -> list[Fit]:
+        """By squares of the misfit and of the difference to the network's depth map, in units of their own.
 
         Noise adds the same to the misfit of every fit.
         """
-        difference_m = self.sketch.difference_m(fit.guess.solids)
-        return (fit.misfit / _USUAL_MISFIT) ** 2 + (difference_m / _USUAL_M) ** 2
+        if not fits:
+            return []
+        apart_m = self.sketch.differences_m([fit.candidate for fit in fits])
+        costs = [
+            (fit.misfit / _USUAL_MISFIT) ** 2 + (difference_m / _USUAL_M) ** 2
+            for fit, difference_m in zip(fits, apart_m, strict=True)
+        ]
+        return [fits[place] for place in np.argsort(costs, kind="stable")]

@@ -8,12 +8,10 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
 from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass as checked_dataclass
-from scipy.spatial.transform import Rotation
 
 from disk import whole_file, write_text
 from disk.contract import STRICT
@@ -28,7 +26,7 @@ from model.judging.judging import Bench
 from model.judging.refusals import EvaluationError
 from model.network.metrics import ImageMetrics, image_metrics
 from model.prediction.predictor import Predictor, load
-from model.refinement.light.room import Room, room_of
+from model.refinement.light.corner_light import CornerLight, known_corner
 from model.refinement.refined_result import FoundSolid, RefinedScene, SceneNumbers
 from model.refinement.refining import Family, Refined, refined
 from model.refinement.settings import Unknown
@@ -36,6 +34,7 @@ from model.run_folder.run_config import Sha256
 from model.settings.run import DeviceName
 from processes.worker_processes import KILLED, results_in_order, worker_pool
 from scenegen import Dataset, Split, open_dataset
+from scenegen.scene import Scene
 
 SCENES_FOLDER = "scenes"
 MOST_RESULT_BYTES = 2**20
@@ -68,7 +67,8 @@ class Work:
 
     bench: Bench
     view: WallView
-    room: Room
+    corner: Scene
+    light: CornerLight
     family: Family
     recipe: Recipe
     out: Path
@@ -87,7 +87,7 @@ class Work:
         prediction = bench.predict(block)[0]
         phasor = block.phasors[0][..., used]
         entry = bench.dataset.scene(scene)
-        found = refined(phasor, prediction, wall, self.room, self.family, seed=entry.seed)
+        found = refined(phasor, prediction, wall, self.corner, self.light, self.family, seed=entry.seed)
         expected_m = bench.predictor.expected_mae_m(prediction)
         accepted = found is not None and found.is_right(
             prediction,
@@ -107,7 +107,7 @@ class Work:
             None if found is None else found.noise,
             None if found is None else found.difference_m(prediction),
             expected_m,
-            None if found is None else self._in_world(found),
+            None if found is None else _found_solid(found),
             None if found is None else found.reflectance,
             None if found is None else found.roughness,
         )
@@ -123,13 +123,6 @@ class Work:
         better = DepthMap.read(self.out / SCENES_FOLDER / f"{scene}.exr")
         name = f"{scene} {self.bench.dataset.scene(scene).object_class.replace('_', ' ')}"
         return name, truth, prediction, better
-
-    def _in_world(self, found: Refined) -> FoundSolid:
-        axes = np.asarray(self.view.camera_axes)
-        location_m = np.asarray(self.view.camera_location_m) + found.solid.centre_m @ axes
-        turned = Rotation.from_matrix(axes.T @ found.solid.axes)
-        rotation_deg = turned.as_euler("xyz", degrees=True)
-        return FoundSolid(found.solid.shape, found.solid.size_m, _vector(location_m), _vector(rotation_deg))
 
     def _write(self, result: RefinedScene, better: DepthMap) -> None:
         folder = self.out / SCENES_FOLDER
@@ -167,7 +160,8 @@ class Job:
             )
         view = wall_view(dataset)
         bench = Bench(predictor.at(view), predictor.config.readout, dataset, shards, progress=False)
-        return Work(bench, view, room_of(dataset), self.family, self.recipe, self.out)
+        light = CornerLight(predictor.config.inputs.frequencies_hz, self.device)
+        return Work(bench, view, known_corner(dataset), light, self.family, self.recipe, self.out)
 
 
 def worked(job: Job, work: Work, scenes: Sequence[tuple[int, str]], workers: int) -> Iterator[RefinedScene]:
@@ -240,6 +234,6 @@ def _numbers(metrics: ImageMetrics) -> SceneNumbers:
     return SceneNumbers(**asdict(metrics))
 
 
-def _vector(values: Any) -> Vector:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+def _found_solid(found: Refined) -> FoundSolid:
+    solid = found.solid
+    return FoundSolid(solid.shape, solid.size_m, solid.location_m, solid.rotation_deg)

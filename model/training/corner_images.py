@@ -13,8 +13,8 @@ from model.data.object_depth import object_depth_m
 from model.data.scene_walls import SceneWalls
 from model.data.shards import Shards
 from model.network.channels import IMAGES_AT_ONCE
+from model.refinement.light.corner_light import known_corner
 from model.refinement.light.inverse import bounce_inverse
-from model.refinement.light.room import room_of
 from model.run_folder.run_config import RunConfig
 from scenegen import Dataset
 
@@ -39,7 +39,9 @@ def corner_images(
     if images is None:
         return {}
     depth_m = config.object_depth_m or object_depth_m(shards, rows)
-    images.load_state_dict(bounce_inverse(images, room_of(dataset), config.geometry, config.inputs, depth_m))
+    images.load_state_dict(
+        bounce_inverse(images, known_corner(dataset), config.geometry, config.inputs, depth_m)
+    )
     deviation = images(_rendered_channels(config, shards, rows[:_SCENES])).std()
     if deviation > 0:
         images.project /= deviation

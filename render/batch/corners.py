@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -45,17 +46,18 @@ class Rectangles:
         """Some of the rectangles."""
         return Rectangles(self.corner[chosen], self.one[chosen], self.two[chosen])
 
-    @property
+    @cached_property
     def across(self) -> Floats:
         """(N, 3) vectors along their normals."""
         return np.cross(self.one, self.two)
 
-    @property
+    @cached_property
     def offset(self) -> Floats:
         """(N,) the products of their points with `across`."""
         offset: Floats = (self.corner * self.across).sum(-1)
         return offset
 
+    @cached_property
     def inequalities(self) -> Floats:
         """(N, 5, 3) vectors w: the ray r meets the rectangle where w · r >= 0 for all five."""
         side, offset = np.sign(self.offset)[:, None], self.offset[:, None]
@@ -111,14 +113,14 @@ class Corners:
             *(self.relay.some(chosen), self.middle.some(chosen)),
         )
 
-    @property
+    @cached_property
     def normal(self) -> Floats:
         """(N, 3) unit normals of the relay walls, towards the cameras."""
         facing = self.relay.across * -np.sign(self.relay.offset)[:, None]
         normal: Floats = facing / np.linalg.norm(facing, axis=1, keepdims=True)
         return normal
 
-    @property
+    @cached_property
     def plane(self) -> Floats:
         """(N, 3) planes m of the relay walls: their points p have m · p = 1."""
         return self.relay.across / self.relay.offset[:, None]
@@ -129,23 +131,24 @@ class Corners:
         An empty part has its last x at its first.
         """
         edge = self.half[:, None] + 0 * y
-        first, last = _within(self.relay.inequalities(), y, -edge, edge)
-        hiding = self.hiding()
+        first, last = _within(self.relay.inequalities, y, -edge, edge)
+        hiding = self.hiding
         begin, end = _within(hiding, y, first, last)
         hides = end > begin
         begin, end = np.where(hides, begin, last), np.where(hides, end, last)
         return np.stack([np.stack([first, begin], -1), np.stack([end, last], -1)], -2)
 
+    @cached_property
     def hiding(self) -> Floats:
         """(N, 6, 3) vectors w: the middle wall hides the relay wall along r where w · r >= 0 for all six."""
         signs = [np.sign(wall.offset)[:, None] for wall in (self.relay, self.middle)]
         away = [np.abs(wall.offset)[:, None] for wall in (self.relay, self.middle)]
         nearer = away[0] * signs[1] * self.middle.across - away[1] * signs[0] * self.relay.across
-        return np.concatenate([self.middle.inequalities(), nearer[:, None]], axis=1)
+        return np.concatenate([self.middle.inequalities, nearer[:, None]], axis=1)
 
     def edges(self) -> Floats:
         """(N, 11, 3) vectors w: what is seen of the relay wall ends on lines w · (x, y, 1) = 0."""
-        return np.concatenate([self.relay.inequalities(), self.hiding()], axis=1)
+        return np.concatenate([self.relay.inequalities, self.hiding], axis=1)
 
     def box(self) -> Floats:
         """(N, 4) first and last x and y of what each image shows of the relay wall; the whole if nothing."""

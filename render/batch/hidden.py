@@ -70,7 +70,7 @@ class _Effort:
     def first(cls, scenes: Scenes, error: float) -> _Effort:
         """Where the search for an error begins."""
         steps = int(np.ceil(np.log2(max(_FIRST_ERROR / error, 1e-3))))
-        surface = np.array([_first_level(scene) for scene in scenes.scenes]) + steps
+        surface = np.array([first_level(scene) for scene in scenes.scenes]) + steps
         film = np.full(len(surface), 1 + -(-steps // 2))
         film = np.clip(film, 0, len(FILM) - 2)
         return cls(np.clip(surface, 1, _FINEST), film, lattice_sizes(scenes, error))
@@ -127,49 +127,18 @@ class HiddenRatios:
         self, scenes: Scenes, chosen: Ints, effort: _Effort
     ) -> tuple[list[Ratios], Floats, Floats]:
         """Ratios (nodes, F) at the lattices of the chosen scenes; their errors by points and by lattice."""
-        fine = self.ratios(
-            scenes, chosen, effort.surface, effort.film, lattice_nodes(scenes, chosen, effort.lattice)
-        )
-        few = lattice_nodes(scenes, chosen, effort.lattice, few=True)
-        other = self.ratios(scenes, chosen, effort.surface - 1, effort.film + 1, few)
+        levels = ((effort.surface, effort.film), (effort.surface - 1, effort.film + 1))
+        found: list[list[Ratios]] = []
+        for (surface, film), few in zip(levels, (False, True), strict=True):
+            seen = lattice_nodes(scenes, chosen, effort.lattice, few)
+            z = ratios(scenes, chosen, surface, film, seen, self.meshes)
+            found.append([z[seen.first[one] : seen.last[one]] for one in chosen])
+        fine, other = found
         of_points = np.zeros(len(chosen))
         for place, (size, one, two) in enumerate(zip(effort.lattice.tolist(), fine, other, strict=True)):
             there = one[few_places(*size)]
             of_points[place] = _COARSER * _norm(there - two) / max(_norm(there), _norm(two), _TINY)
         return fine, of_points, _TAIL * _tails(fine, effort.lattice)
-
-    def ratios(
-        self, scenes: Scenes, chosen: Ints, surface_level: Ints, film_level: Ints, seen: Nodes
-    ) -> list[Ratios]:
-        """(nodes, F) hidden over direct light at the nodes `seen` of each chosen scene."""
-        import drjit as dr
-        import mitsuba as mi
-
-        from render.batch.kernels import hidden as kernels
-        from render.transport.kernels.arrays import upload, upload_indices, upload_points
-
-        film = film_nodes(scenes, chosen, film_level)
-        surface = surface_nodes(scenes, chosen, surface_level, self.meshes)
-        batch = scenes.batch
-        lit, back = (
-            kernels.wall_records(batch, upload_indices(nodes.scene), upload_points(nodes.values[:, :3]))
-            for nodes in (film, seen)
-        )
-        table, scene = upload(surface.values), upload_indices(surface.scene)
-        flux = upload(film.values[:, 3])
-        dr.eval(lit, back)
-        index = dr.arange(mi.UInt32, len(surface.scene))
-        ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (film.first, film.last)]
-        real, imaginary = kernels.irradiance(batch, scene, table, index, lit, flux, *ends)
-        sent = kernels.sent(real, imaginary, dr.gather(mi.Float, table, index * 8 + 3))
-        dr.eval(sent)
-        scene = upload_indices(seen.scene)
-        ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (surface.first, surface.last)]
-        index = dr.arange(mi.UInt32, len(seen.scene))
-        sums = kernels.over_direct(batch, scene, back, index, table, sent, *ends)
-        dr.eval(sums)
-        z = np.stack([np.array(re) + 1j * np.array(im) for re, im in zip(*sums, strict=True)], axis=-1)
-        return [z[seen.first[one] : seen.last[one]] for one in chosen]
 
     def _interpolate(
         self, scenes: Scenes, chosen: Ints, sizes: Ints, values: Sequence[Ratios], out: NDArray[np.complex64]
@@ -188,7 +157,45 @@ class HiddenRatios:
             out[some] = np.matmul(columns[:, None], nodes)
 
 
-def _first_level(scene: Scene) -> int:
+def ratios(
+    scenes: Scenes,
+    chosen: Ints,
+    surface_level: Ints,
+    film_level: Ints,
+    seen: Nodes,
+    meshes: Mapping[Shape, UnitMesh],
+) -> Ratios:
+    """(M, F) hidden over direct light at the nodes `seen`; scenes that are not `chosen` have none."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from render.batch.kernels import hidden as kernels
+    from render.transport.kernels.arrays import upload, upload_indices, upload_points
+
+    film = film_nodes(scenes, chosen, film_level)
+    surface = surface_nodes(scenes, chosen, surface_level, meshes)
+    batch = scenes.batch
+    lit, back = (
+        kernels.wall_records(batch, upload_indices(nodes.scene), upload_points(nodes.values[:, :3]))
+        for nodes in (film, seen)
+    )
+    table, scene = upload(surface.values), upload_indices(surface.scene)
+    flux = upload(film.values[:, 3])
+    dr.eval(lit, back)
+    index = dr.arange(mi.UInt32, len(surface.scene))
+    ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (film.first, film.last)]
+    real, imaginary = kernels.irradiance(batch, scene, table, index, lit, flux, *ends)
+    sent = kernels.sent(real, imaginary, dr.gather(mi.Float, table, index * 8 + 3))
+    dr.eval(sent)
+    scene = upload_indices(seen.scene)
+    ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (surface.first, surface.last)]
+    index = dr.arange(mi.UInt32, len(seen.scene))
+    sums = kernels.over_direct(batch, scene, back, index, table, sent, *ends)
+    dr.eval(sums)
+    return np.stack([np.array(re) + 1j * np.array(im) for re, im in zip(*sums, strict=True)], axis=-1)
+
+
+def first_level(scene: Scene) -> int:
     """Level of the surface points with which a scene begins."""
     shapes = [part.shape for part in scene.hidden_objects]
     if len(shapes) > 1:

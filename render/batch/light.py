@@ -9,13 +9,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from render.backend import Device, select_variant
+from render.backend import Device
 from render.batch.hidden import HiddenRatios
 from render.batch.pixel_lines import PixelLines
 from render.batch.tables import Scenes, World
 from scenegen.scene import Scene
 from scenegen.shapes import PRIMITIVES, Shape
-from scenegen.unit_meshes import UnitMesh, unit_mesh
+from scenegen.unit_meshes import UnitMesh
 
 BOUNCES: Final = 3  # of the light
 _LEAST_ROUGHNESS: Final = 0.05  # of a wall: film and lattice are too coarse for the gloss of smoother ones
@@ -93,15 +93,9 @@ class BatchedLight:
         device: Device = "auto",
         threads: int | None = None,
     ) -> None:
-        import drjit as dr
-
         self.frequencies_hz, self.size, self.error = tuple(frequencies_hz), (width, height), error
-        known = {shape: unit_mesh(shape) for shape in PRIMITIVES} | dict(meshes or {})
-        self._hidden = HiddenRatios(known, width, height, error)
-        variant = select_variant(device)
-        if threads is not None:
-            dr.set_thread_count(threads)
-        self._world = World(known, variant)
+        self._world = World(meshes, device, threads)
+        self._hidden = HiddenRatios(self._world.meshes, width, height, error)
 
     def images(self, scenes: Sequence[Scene]) -> LightImages:
         """The light of scenes; each is the same in any batch."""
@@ -136,28 +130,12 @@ class BatchedLight:
 
     def _depth(self, scenes: Scenes) -> NDArray[np.float32]:
         """(N, H, W) radial depth of the mirror images."""
-        import drjit as dr
-        import mitsuba as mi
-
-        from render.batch.kernels import images as kernels
-        from render.transport.kernels.arrays import upload, upload_indices
-
-        (width, height), corners, count = self.size, scenes.corners, len(scenes.scenes)
-        scene, row, column = self._pixels(count)
-        columns, rows = corners.pixel_centres(width, height)
-        x = dr.gather(mi.Float, upload(columns), scene * dr.opaque(mi.UInt32, width) + column)
-        y = dr.gather(mi.Float, upload(rows), scene * dr.opaque(mi.UInt32, height) + row)
-        ends = (
-            dr.gather(mi.UInt32, upload_indices(each), scene)
-            for each in (scenes.first_object[:-1], scenes.first_object[1:])
-        )
-        occluders = upload_indices(np.array([each.mirror_occluders for each in scenes.scenes]))
-        has_wall = dr.gather(mi.UInt32, occluders, scene) > 0
-        depth = kernels.mirrored_depth(
-            scenes.batch, scene, dr.normalize(mi.Vector3f(x, y, 1)), *ends, has_wall
-        )
-        dr.eval(depth)
-        return np.array(depth).reshape(count, height, width)
+        (width, height), count = self.size, len(scenes.scenes)
+        columns, rows = scenes.corners.pixel_centres(width, height)
+        film = np.ones((count, height, width, 3))
+        film[..., 0], film[..., 1] = columns[:, None], rows[..., None]
+        depth = mirrored_depth_m(scenes, film.reshape(count, -1, 3))
+        return depth.reshape(count, height, width)
 
     def _pixels(self, count: int) -> tuple[Any, Any, Any]:
         """Scene, row and column of the pixels of `count` images."""
@@ -170,3 +148,28 @@ class BatchedLight:
         inside = pixel - scene * (width * height)
         row = inside // width
         return scene, row, inside - row * width
+
+
+def mirrored_depth_m(scenes: Scenes, towards: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(N, P) radial depth of the mirror images of N scenes along directions (N, P, 3) of each, metres.
+
+    0 beside them.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    from render.batch.kernels import images as kernels
+    from render.transport.kernels.arrays import upload_indices, upload_points
+
+    count, pixels = towards.shape[:2]
+    scene = upload_indices(np.repeat(np.arange(count), pixels))
+    ends = (
+        dr.gather(mi.UInt32, upload_indices(each), scene)
+        for each in (scenes.first_object[:-1], scenes.first_object[1:])
+    )
+    occluders = upload_indices(np.array([each.mirror_occluders for each in scenes.scenes]))
+    has_wall = dr.gather(mi.UInt32, occluders, scene) > 0
+    rays = dr.normalize(mi.Vector3f(upload_points(towards.reshape(-1, 3))))
+    depth = kernels.mirrored_depth(scenes.batch, scene, rays, *ends, has_wall)
+    dr.eval(depth)
+    return np.array(depth).reshape(count, pixels)

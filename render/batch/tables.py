@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import cos, radians, sin
 from typing import TYPE_CHECKING, Any
 
@@ -11,18 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import phase_per_metre
+from render.backend import Device, select_variant
 from render.batch.corners import Corners
 from render.batch.quadrics import Hiding, is_convex, quadric_of
 from scenegen.mitsuba_description import ROUGH_WALL_INDEX
 from scenegen.pose import rotation_matrix
 from scenegen.scene import HiddenObject, RelayWall, Scene
-from scenegen.shapes import Shape
-from scenegen.unit_meshes import UnitMesh
+from scenegen.shapes import PRIMITIVES, Shape
+from scenegen.unit_meshes import UnitMesh, unit_mesh
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 Floats = NDArray[np.float64]
+_ROUGHNESS_STEP = 0.05
 _CELL = 4.0  # distance of the unit meshes in their scene, in units of their box
 _GRID = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), -1).reshape(-1, 3)
 
@@ -79,18 +82,28 @@ class Scenes:
     Attributes
     ----------
     scenes : as plain data.
-    corners : their cameras and walls; `box` (N, 4) the part of each image that shows the relay wall.
+    different : their corners, each once; `corner` (N,) is that of each scene.
     objects : all hidden objects, scene by scene.
     first_object : (N + 1,) of each scene.
     batch : the arrays of the kernels.
     """
 
     scenes: Sequence[Scene]
-    corners: Corners
-    box: Floats
+    different: Corners
+    corner: NDArray[np.int64]
     objects: list[PlacedObject]
     first_object: NDArray[np.int64]
     batch: Any
+
+    @cached_property
+    def corners(self) -> Corners:
+        """The N corners."""
+        return self.different.some(self.corner)
+
+    @cached_property
+    def box(self) -> Floats:
+        """(N, 4) the part of each image that shows the relay wall (`Corners.box`)."""
+        return self.different.box()[self.corner]
 
     def objects_of(self, scene: int) -> list[PlacedObject]:
         """The hidden objects of a scene."""
@@ -102,14 +115,33 @@ class World:
 
     Parameters
     ----------
-    meshes : by shape.
-    variant : the active Mitsuba variant.
+    meshes : of the user, by shape.
+    device : ``auto``, ``cpu`` or ``cuda``.
+    threads : of DrJit on the CPU, in this process; None keeps their number.
+    mixes_roughness : whether the surface of rough walls is mixed from those with the roughness 0.05, 0.1 and
+        so on, as a search needs that has another roughness in each scene.
+
+    Raises
+    ------
+    BackendError : this machine cannot render on the requested device.
     """
 
-    def __init__(self, meshes: Mapping[Shape, UnitMesh], variant: str) -> None:
-        self.cells = {shape: cell for cell, shape in enumerate(meshes)}
-        self.scene = _mesh_scene(list(meshes.values()))
-        self._variant = variant
+    def __init__(
+        self,
+        meshes: Mapping[Shape, UnitMesh] | None,
+        device: Device,
+        threads: int | None = None,
+        *,
+        mixes_roughness: bool = False,
+    ) -> None:
+        import drjit as dr
+
+        self.meshes = {shape: unit_mesh(shape) for shape in PRIMITIVES} | dict(meshes or {})
+        self._variant, self._mixes_roughness = select_variant(device), mixes_roughness
+        if threads is not None:
+            dr.set_thread_count(threads)
+        self.cells = {shape: cell for cell, shape in enumerate(self.meshes)}
+        self.scene = _mesh_scene(list(self.meshes.values()))
 
     def scenes(self, scenes: Sequence[Scene], frequencies_hz: Sequence[float]) -> Scenes:
         """The arrays of some scenes."""
@@ -120,7 +152,8 @@ class World:
         from render.batch.kernels.wall import Batch
         from render.transport.kernels.arrays import upload, upload_indices
 
-        corners = Corners.of(scenes)
+        different, corner = _different_corners(scenes)
+        corners = different.some(corner)
         objects = [
             PlacedObject.of(number, part, corners.axes[number], corners.origin[number])
             for number, scene in enumerate(scenes)
@@ -138,11 +171,11 @@ class World:
         walls, transmittance = self._walls(scenes, corners)
         turns = [dr.opaque(mi.Float, float(k)) for k in phase_per_metre(frequencies_hz)]
         batch = Batch(upload(walls), upload(transmittance), turns, shadows)
-        return Scenes(scenes, corners, corners.box(), objects, first, batch)
+        return Scenes(scenes, different, corner, objects, first, batch)
 
     def _walls(self, scenes: Sequence[Scene], corners: Corners) -> tuple[Floats, Floats]:
         """(N, 24) numbers of `kernels.wall.Wall`, and (N, COSINES) what passes the surface, by cosine."""
-        from render.transport.kernels.rough_wall import COSINES, surface_tables
+        from render.transport.kernels.rough_wall import COSINES
 
         count = len(scenes)
         rows, transmittance = np.zeros((count, 6, 4)), np.ones((count, COSINES))
@@ -150,7 +183,7 @@ class World:
         for number, scene in enumerate(scenes):
             roughness = scene.relay_wall.roughness
             if roughness is not None:
-                transmittance[number], internal = surface_tables(self._variant, roughness)
+                transmittance[number], internal = self._surface(roughness)
                 alpha[number], gloss[number] = roughness, 1.0
                 base[number] = 1 / (np.pi * ROUGH_WALL_INDEX**2 * (1 - internal))
             rows[number, 1] = _brightness(scene.relay_wall, corners.axes[number], corners.origin[number])
@@ -161,6 +194,34 @@ class World:
         rows[:, 4, :3], rows[:, 4, 3] = _dual(middle.two), 1 / np.linalg.norm(corners.plane, axis=1)
         rows[:, 5, :3] = middle.across
         return rows.reshape(count, -1), transmittance
+
+    def _surface(self, roughness: float) -> tuple[Floats, float]:
+        """What passes the surface of a rough wall, by cosine, and what it sends back of the base's light."""
+        from render.transport.kernels.rough_wall import surface_tables
+
+        if not self._mixes_roughness:
+            return surface_tables(self._variant, roughness)
+        step = int(roughness / _ROUGHNESS_STEP)
+        share = roughness / _ROUGHNESS_STEP - step
+        (passed, internal), (more_passed, more_internal) = (
+            surface_tables(self._variant, round(each * _ROUGHNESS_STEP, 9)) for each in (step, step + 1)
+        )
+        return passed + share * (more_passed - passed), internal + share * (more_internal - internal)
+
+
+def _different_corners(scenes: Sequence[Scene]) -> tuple[Corners, NDArray[np.int64]]:
+    """The corners of scenes, each once, and which one each scene has."""
+    number: dict[Any, int] = {}
+    different: list[Scene] = []
+    corner = []
+    for scene in scenes:
+        relay = scene.relay_wall
+        key = (scene.camera, relay.location_m, relay.rotation_deg, relay.size_m, scene.middle_wall)
+        if key not in number:
+            number[key] = len(different)
+            different.append(scene)
+        corner.append(number[key])
+    return Corners.of(different), np.array(corner)
 
 
 def _mesh_scene(meshes: Sequence[UnitMesh]) -> mi.Scene:

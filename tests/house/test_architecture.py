@@ -19,7 +19,10 @@ MAY_IMPORT = {
     "night_nlos": {"commandline", "cli"},
 }
 # The batched engine, which these modules import inside functions: all else works without Mitsuba.
-MAY_RENDER = {"model.training.fresh.workers": "render.batch.light"}
+MAY_RENDER = {
+    "model.training.fresh.workers": "render.batch.light",
+    "model.refinement.light.corner_light": "render.batch.candidates",
+}
 # What each wing may import of its own room, when it is loaded and later. A wing is a package or a module.
 WINGS = {
     "disk": set(),
@@ -71,7 +74,7 @@ WINGS = {
     "model.data": {"model.network", "model.settings"},
     "model.paper": {"model.data", "model.network", "model.settings"},
     "model.prediction": {"model.network", "model.run_folder", "model.device", "model.settings"},
-    "model.refinement.light": {"model.data", "model.network", "model.device"},
+    "model.refinement.light": {"model.network", "model.device", "model.settings"},
     "model.training": {
         *("model.refinement.light", "model.data", "model.network", "model.run_folder", "model.device"),
         *("model.paper", "model.settings"),

@@ -11,7 +11,8 @@ from batch_quadrature import CubeLight, Sides
 from numpy.linalg import norm
 
 from disk.preset_files import read_settings
-from itof import TransientLayout
+from itof import TransientLayout, pixel_rays
+from render.batch.candidates import CandidateLight
 from render.batch.light import BatchedLight
 from scenegen import load_preset, preset_from_dict
 from scenegen.geometry_check import refusal
@@ -261,6 +262,32 @@ def test_twice_the_reflectance_is_twice_the_hidden_light(light):
     ]
     one, other = light.images(scenes).hidden, light.images(half).hidden
     assert np.allclose(one, 2 * other, rtol=1e-5, atol=1e-5 * np.abs(one).max())
+
+
+def test_candidates_have_the_hidden_light_of_images(light, images, corners):
+    candidates = CandidateLight(HZ, device="cpu", threads=1)
+    errors = {True: [], False: []}
+    for index, scene_id in enumerate(corners.ids()):
+        scene, direct = corners.scene(scene_id), images.direct[index]
+        seen = (direct[..., 0] != 0) & (np.abs(images.hidden[index][..., 0]) > 0)
+        rays = pixel_rays(WIDTH, HEIGHT, scene.camera.horizontal_fov_deg)[seen]
+        expected, weight = images.hidden[index][seen] / direct[seen], np.abs(direct[seen])
+        for fine, found in errors.items():
+            (ratio,) = candidates.over_direct([scene], rays, fine=fine)
+            found.append(norm((ratio - expected) * weight) / norm(expected * weight))
+    # Both err: the images by 2 % at most, the candidates by 1 and 3 %.
+    assert max(errors[True]) < np.hypot(0.02, 0.01)
+    assert max(errors[False]) < np.hypot(0.02, 0.03)
+
+
+def test_a_roughness_between_those_of_the_tables_is_mixed(light):
+    (scene,) = drawn(load_preset("any-corner"), 1, 3)
+    scene = replace(scene, relay_wall=replace(scene.relay_wall, material="rough", roughness=0.475))
+    exact = light.images([scene])
+    rays = pixel_rays(WIDTH, HEIGHT, scene.camera.horizontal_fov_deg).reshape(-1, 3)
+    (mixed,) = CandidateLight(HZ, device="cpu", threads=1).over_direct([scene], rays, fine=True)
+    expected = (exact.hidden[0] / exact.direct[0]).reshape(-1, 3)
+    assert norm(mixed - expected) / norm(expected) < np.hypot(0.02, 0.01)
 
 
 @pytest.mark.parametrize("error", [0.04, 0.01])

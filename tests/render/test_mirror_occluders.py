@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from true_solids import solids_of
 
 from itof import pixel_rays
-from model.refinement.light.room import room_of
+from render.batch.light import BatchedLight
 from render.products.geometry import traced_depth_m
 from render.transport.mirrored import trace_ground_truth
 from render.transport.scene_loading import load_scene, scene_from_data
@@ -56,10 +55,10 @@ def test_the_mirrored_middle_wall_hides_exactly_what_is_behind_it(partly_hidden,
     np.testing.assert_array_equal(mirror.radial_depth_m, np.where(mirror.mask, paper.radial_depth_m, 0))
 
 
-def test_refined_depth_maps_show_what_the_truth_shows(partly_hidden, variant):
+def test_the_batched_engine_shows_what_the_truth_shows(partly_hidden, variant):
+    light = BatchedLight((20e6,), WIDTH, HEIGHT, error=0.1, device="cpu")
     for dataset in partly_hidden:
-        truth, room = truth_of(dataset), room_of(dataset)
-        found_m = room.mirrored_depth_m(solids_of(dataset, "000000"), pixel_rays(WIDTH, HEIGHT, 60.0))
+        truth, found_m = truth_of(dataset), light.images([dataset.scene("000000")]).radial_depth_m[0]
         np.testing.assert_array_equal(found_m > 0, truth.mask)
         np.testing.assert_allclose(found_m, truth.radial_depth_m, atol=1e-4)
 

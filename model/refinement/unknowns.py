@@ -1,0 +1,97 @@
+"""What a fit may change of a candidate: places, rotations, extents, and the roughness of the wall."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from model.refinement.light.corner_light import euler_deg, vector
+from scenegen.pose import rotation_matrix
+from scenegen.scene import HiddenObject, Scene
+from scenegen.shapes import Shape
+
+Floats = NDArray[np.float64]
+ROUGHNESS: Final = (0.05, 1.0)  # smallest and largest of a relay wall
+_STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 5e-3, 0.0125, 1e-2, 2e-2  # of the differences
+_FARTHEST_M, _FARTHEST_RAD, _FARTHEST_SIZE, _FARTHEST_ROUGHNESS = 0.15, 0.5, 0.2, 0.3  # of one step
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number: of which object, of which kind, and which of its kind; `step` is that of a difference."""
+
+    part: int
+    kind: str
+    place: int
+    step: float
+
+
+def unknowns(candidate: Scene, roughness: bool, sizes: bool) -> list[Unknown]:
+    """The unknowns of a candidate, with the roughness of its relay wall and the extents of its objects."""
+    return list(_unknowns(candidate, roughness, sizes))
+
+
+def _unknowns(candidate: Scene, roughness: bool, sizes: bool) -> Iterator[Unknown]:
+    for index, part in enumerate(candidate.hidden_objects):
+        yield from (Unknown(index, "place", axis, _STEP_M) for axis in range(3))
+        if part.shape != "sphere":
+            yield from (Unknown(index, "turn", axis, _STEP_RAD) for axis in range(3))
+        if sizes:
+            yield from (
+                Unknown(index, "size", axis, _STEP_SIZE) for axis in range(len(stretches(part.shape)))
+            )
+    now = candidate.relay_wall.roughness
+    if roughness and now is not None:
+        yield Unknown(0, "roughness", 0, _STEP_ROUGHNESS if now < sum(ROUGHNESS) / 2 else -_STEP_ROUGHNESS)
+
+
+def changed(candidate: Scene, numbers: Sequence[Unknown], change: Floats) -> Scene:
+    """The candidate with its unknowns changed, but not by more than is likely to be better."""
+    parts = []
+    for index, part in enumerate(candidate.hidden_objects):
+        move, turn, size = np.zeros(3), np.zeros(3), np.zeros(len(stretches(part.shape)))
+        for values, kind in ((move, "place"), (turn, "turn"), (size, "size")):
+            for unknown, value in zip(numbers, change, strict=True):
+                if unknown.part == index and unknown.kind == kind:
+                    values[unknown.place] = value
+        part = moved(part, _shortened(move, _FARTHEST_M), _shortened(turn, _FARTHEST_RAD))
+        parts.append(stretched(part, _shortened(size, _FARTHEST_SIZE)))
+    wall = candidate.relay_wall
+    if wall.roughness is not None and numbers[-1].kind == "roughness":
+        by = float(np.clip(change[-1], -_FARTHEST_ROUGHNESS, _FARTHEST_ROUGHNESS))
+        wall = replace(wall, roughness=min(max(wall.roughness + by, ROUGHNESS[0]), ROUGHNESS[1]))
+    return replace(candidate, hidden_objects=tuple(parts), relay_wall=wall)
+
+
+def moved(part: HiddenObject, by_m: Floats, turned_rad: Floats | None = None) -> HiddenObject:
+    """Moved by a vector and then turned about its centre by a rotation vector, in world axes."""
+    part = replace(part, location_m=vector(np.asarray(part.location_m) + by_m))
+    if turned_rad is None or not turned_rad.any():
+        return part
+    axes = Rotation.from_rotvec(turned_rad).as_matrix() @ rotation_matrix(part.rotation_deg)
+    return replace(part, rotation_deg=euler_deg(axes))
+
+
+def stretched(part: HiddenObject, exponents: Floats) -> HiddenObject:
+    """With its free extents (`stretches`) multiplied by the exponential of (n,) numbers."""
+    return replace(part, size_m=vector(np.asarray(part.size_m) * np.exp(exponents @ stretches(part.shape))))
+
+
+def stretches(shape: Shape) -> Floats:
+    """(n, 3) which extents change together; a cube stays a cube, and what is round stays round."""
+    if shape in ("cube", "sphere"):
+        return np.ones((1, 3))
+    if shape == "parallelepiped":
+        return np.eye(3)
+    return np.array([[1.0, 1, 0], [0, 0, 1]])
+
+
+def _shortened(values: Floats, longest: float) -> Floats:
+    length = math.sqrt(values @ values)
+    return values if length <= longest else values * (longest / length)
