@@ -16,8 +16,9 @@ import numpy as np
 
 from itof import DepthMap, read_image
 from render.batch.light import BatchedLight, LightImages
+from render.batch.scene_meshes import with_own_meshes
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
-from scenegen.making.meshes import read_meshes
+from scenegen.scene_folder import read_scene_folder
 
 
 def main() -> None:
@@ -25,14 +26,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--errors", type=float, nargs="+", default=[0.04, 0.01], help="default 0.04 0.01")
-    parser.add_argument("--meshes", type=Path, default=Path(), help="folder of the files that mesh: names")
     given = parser.parse_args()
     dataset = open_dataset(given.dataset)
     reference = dataset.rendering.options["error"]
-    meshes = read_meshes(dataset.preset, given.meshes)
     direct, hidden, masks = renders(dataset)
     size = hidden.shape[2], hidden.shape[1]
-    scenes = [dataset.scene(scene_id) for scene_id in dataset.ids()]
+    scenes, meshes = [], {}
+    for scene_id in dataset.ids():
+        files = read_scene_folder(dataset.scene_folder(scene_id))
+        scene, own = with_own_meshes(dataset.scene(scene_id), files)
+        scenes.append(scene)
+        meshes |= own
     print(f"{len(scenes)} scenes, {size[0]}x{size[1]}, many-light at {reference:.1%}")
     print("| wanted | median | 90 % | 95 % | largest | within | bound holds | scale | mask differs | ms |")
     print("|---|---|---|---|---|---|---|---|---|---|")

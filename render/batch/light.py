@@ -14,7 +14,7 @@ from render.batch.hidden import HiddenRatios
 from render.batch.pixel_lines import PixelLines
 from render.batch.tables import Scenes, World
 from scenegen.scene import Scene
-from scenegen.shapes import PRIMITIVES, Shape
+from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
 BOUNCES: Final = 3  # of the light
@@ -55,13 +55,11 @@ class SceneLight:
 
 
 def suits(scene: Scene) -> bool:
-    """Whether the engine can render a scene with three bounces: primitives, and a projector at the camera."""
+    """Whether the engine can render a scene with three bounces: its projector is at the camera."""
     camera, emitter, roughness = scene.camera, scene.emitter, scene.relay_wall.roughness
     place = (camera.location_m, camera.rotation_deg, camera.horizontal_fov_deg)
-    return (
-        all(part.shape in PRIMITIVES for part in scene.hidden_objects)
-        and place == (emitter.location_m, emitter.rotation_deg, emitter.horizontal_fov_deg)
-        and (roughness is None or roughness >= _LEAST_ROUGHNESS)
+    return place == (emitter.location_m, emitter.rotation_deg, emitter.horizontal_fov_deg) and (
+        roughness is None or roughness >= _LEAST_ROUGHNESS
     )
 
 
