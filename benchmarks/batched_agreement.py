@@ -6,59 +6,81 @@ frequencies, over that of the hidden phasors. Run:
     night-gen scenes judged --preset judge-any-corner --count 105 --seed 4242
     night-render judged --product itof --method many-light --error 0.005 --resolution 80x60
     .venv/bin/python benchmarks/batched_agreement.py judged
+
+Of several datasets, all scenes count as one set.
 """
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from itof import DepthMap, read_image
-from render.batch.light import BatchedLight, LightImages
-from render.batch.scene_meshes import with_own_meshes
+from render.batch.light import SceneLight
+from render.batch.scene_lights import SceneLights
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
 from scenegen.scene_folder import read_scene_folder
+
+AT_ONCE = 105
 
 
 def main() -> None:
     """Print a line for each wanted error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("dataset", type=Path)
+    parser.add_argument("datasets", type=Path, nargs="+", help="with the same size and frequencies")
     parser.add_argument("--errors", type=float, nargs="+", default=[0.04, 0.01], help="default 0.04 0.01")
     given = parser.parse_args()
-    dataset = open_dataset(given.dataset)
-    reference = dataset.rendering.options["error"]
-    direct, hidden, masks = renders(dataset)
-    size = hidden.shape[2], hidden.shape[1]
-    scenes, meshes = [], {}
-    for scene_id in dataset.ids():
-        files = read_scene_folder(dataset.scene_folder(scene_id))
-        scene, own = with_own_meshes(dataset.scene(scene_id), files)
-        scenes.append(scene)
-        meshes |= own
+    datasets = [open_dataset(folder) for folder in given.datasets]
+    reference = max(dataset.rendering.options["error"] for dataset in datasets)
+    direct, hidden, masks = (np.concatenate(each) for each in zip(*map(renders, datasets), strict=True))
+    frequencies_hz, size = datasets[0].preset.itof.frequencies_hz, (hidden.shape[2], hidden.shape[1])
+    scenes = [
+        (dataset.scene(scene_id), read_scene_folder(dataset.scene_folder(scene_id)))
+        for dataset in datasets
+        for scene_id in dataset.ids()
+    ]
     print(f"{len(scenes)} scenes, {size[0]}x{size[1]}, many-light at {reference:.1%}")
     print("| wanted | median | 90 % | 95 % | largest | within | bound holds | scale | mask differs | ms |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for wanted in given.errors:
-        light = BatchedLight(dataset.preset.itof.frequencies_hz, *size, error=wanted, meshes=meshes)
-        light.images(scenes)  # compiles the kernels
+        engine = SceneLights(frequencies_hz, *size, error=wanted, device="auto")
+        engine.of(scenes[:AT_ONCE])  # compiles the kernels
         began = time.perf_counter()
-        images = light.images(scenes)
+        lights = [light for part in parts(scenes) for light in rendered(engine, part)]
         milliseconds = 1e3 * (time.perf_counter() - began) / len(scenes)
-        errors, scales = compared(images, hidden)
-        edges = np.linalg.norm((images.direct - direct).reshape(len(scenes), -1), axis=1)
+        errors, scales = compared(np.stack([light.hidden for light in lights]), hidden)
+        edges = np.stack([light.direct for light in lights]) - direct
         quantiles = " | ".join(f"{value:.2%}" for value in np.quantile(errors, [0.5, 0.9, 0.95, 1]))
         within = (errors <= np.hypot(wanted, reference)).mean()
-        holds = (errors <= np.hypot(images.error, reference)).mean()
-        differing = np.count_nonzero((images.radial_depth_m > 0) != masks)
+        holds = (errors <= np.hypot([light.error for light in lights], reference)).mean()
+        differing = np.count_nonzero((np.stack([light.radial_depth_m for light in lights]) > 0) != masks)
         print(
             f"| {wanted:.1%} | {quantiles} | {within:.0%} | {holds:.0%} | {scales.mean():.4f} | {differing} "
             f"| {milliseconds:.1f} |",
             flush=True,
         )
-    shares = edges / np.linalg.norm(hidden.reshape(len(scenes), -1), axis=1)
+    shares = norms(edges) / norms(hidden)
     print(f"direct return, over the hidden part: median {np.median(shares):.2%}, largest {shares.max():.2%}")
+
+
+def parts(scenes: list[Any]) -> list[list[Any]]:
+    """The scenes as `night-render` takes them."""
+    return [scenes[start : start + AT_ONCE] for start in range(0, len(scenes), AT_ONCE)]
+
+
+def rendered(engine: SceneLights, scenes: list[Any]) -> list[SceneLight]:
+    """The light of some scenes, whose ids may be those of scenes of another dataset."""
+    numbered = [(replace(scene, index=number), files) for number, (scene, files) in enumerate(scenes)]
+    lights = engine.of(numbered)
+    return [lights[scene.id] for scene, _ in numbered]
+
+
+def norms(images: np.ndarray) -> np.ndarray:
+    """(N,) norms of images."""
+    return np.linalg.norm(images.reshape(len(images), -1), axis=1)
 
 
 def renders(dataset: Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,9 +92,9 @@ def renders(dataset: Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return direct, hidden, np.stack([truth.mask for truth in truths])
 
 
-def compared(images: LightImages, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compared(found: np.ndarray, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N,) errors of the hidden phasors, and the scales that make them most like the reference."""
-    found, expected = (each.reshape(len(hidden), -1) for each in (images.hidden, hidden))
+    found, expected = (each.reshape(len(hidden), -1) for each in (found, hidden))
     power = (np.abs(expected) ** 2).sum(1)
     errors = np.sqrt((np.abs(found - expected) ** 2).sum(1) / power)
     return errors, (expected.conj() * found).sum(1).real / power

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,8 +25,8 @@ from itof import (
     write_image,
 )
 from render.backend import drjit_threads, select_variant
-from render.batch.light import BOUNCES, BatchedLight, SceneLight, suits
-from render.batch.scene_meshes import with_own_meshes
+from render.batch.light import BOUNCES, SceneLight, suits
+from render.batch.scene_lights import SceneLights
 from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured, refuse_unlike
 from render.options import BatchedOptions
 from render.settings import RenderError, RenderSettings
@@ -57,9 +57,6 @@ from scenegen import (
 from scenegen.mitsuba_description import mirrored_description, seen_description
 from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
-from scenegen.shapes import Shape
-from scenegen.triangles import MeshError
-from scenegen.unit_meshes import UnitMesh
 
 _Result = TypeVar("_Result")
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
@@ -101,7 +98,6 @@ class Renderer:
         make = METHODS[settings.method]
         self._method = make(settings.options, self.variant)
         self._mirrored_method = make(settings.options.for_one_bounce(), self.variant)
-        self._usual_engine: BatchedLight | None = None
 
     def render(self, scene_id: str) -> RenderRecord:
         """`render_all` of one scene.
@@ -143,27 +139,19 @@ class Renderer:
 
     def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
         """The light of the scenes that the batched engine can render with the wanted error, by id."""
-        options = self.settings.options
-        if not isinstance(options, BatchedOptions) or self.settings.wants_transients:
-            return {}
-        if self.settings.bounces(self.dataset) != BOUNCES:
+        if self._engine is None or self.settings.bounces(self.dataset) != BOUNCES:
             return {}
         suited = [each for each in sources if suits(each.scene) and not self._is_edited(each)]
-        found: dict[str, SceneLight] = {}
-        for scenes, meshes in _batches(suited):
-            images = self._engine(options.error, meshes).images(scenes)
-            found |= {scene.id: images.of(place) for place, scene in enumerate(scenes)}
-        return {scene_id: light for scene_id, light in found.items() if light.error <= options.error}
+        lights = self._engine.of([(each.scene, each.files) for each in suited])
+        return {scene: light for scene, light in lights.items() if light.error <= self._engine.error}
 
-    def _engine(self, error: float, meshes: Mapping[Shape, UnitMesh]) -> BatchedLight:
-        """The batched engine; without meshes of the user, it is made once."""
-        if not meshes and self._usual_engine is not None:
-            return self._usual_engine
-        size, device = (self.layout.width, self.layout.height), self.settings.device
-        engine = BatchedLight(self.frequencies_hz, *size, error=error, meshes=meshes, device=device)
-        if not meshes:
-            self._usual_engine = engine
-        return engine
+    @cached_property
+    def _engine(self) -> SceneLights | None:
+        """The batched engine, if the settings want it."""
+        options, size = self.settings.options, (self.layout.width, self.layout.height)
+        if not isinstance(options, BatchedOptions) or self.settings.wants_transients:
+            return None
+        return SceneLights(self.frequencies_hz, *size, error=options.error, device=self.settings.device)
 
     def _is_edited(self, source: _Source) -> bool:
         return is_edited(self.dataset, source.scene.id, source.digest)
@@ -311,25 +299,6 @@ class Renderer:
             "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),
         }
-
-
-def _batches(sources: Sequence[_Source]) -> Iterator[tuple[list[Scene], dict[Shape, UnitMesh]]]:
-    """Scenes for the engine, with meshes of their own.
-
-    Those with meshes are alone: the place of a mesh beside others decides how its rays are rounded.
-    """
-    without: list[Scene] = []
-    for source in sources:
-        try:
-            scene, meshes = with_own_meshes(source.scene, source.files)
-        except MeshError:
-            continue  # the renderer says what is wrong with it
-        if meshes:
-            yield [scene], meshes
-        else:
-            without.append(scene)
-    if without:
-        yield without, {}
 
 
 def _result(work: Callable[..., _Result], *arguments: Any) -> _Result | Exception:

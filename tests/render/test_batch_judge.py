@@ -1,16 +1,20 @@
-"""The judge of the batched engine: scenes of two presets against many lights at 0.5 %."""
+"""The judge of the batched engine: scenes of two presets, and meshes, against many lights at 0.5 %."""
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.linalg import norm
 
 from disk.preset_files import read_settings
 from itof import TransientLayout
-from render.batch.light import BatchedLight
+from render.batch.scene_lights import SceneLights
+from scenegen import make_dataset, preset_from_dict
+from scenegen.scene_folder import read_scene_folder
 
 HZ = (20e6, 50e6, 60e6)
 WIDTH, HEIGHT = 80, 60
 REFERENCE = 0.005  # error of the many lights
+MESHES = {"shapes": ["mesh:ring.ply", "cube", "cone", "concave_plane"], "composite_fraction": 0.5}
 
 
 def hidden_of(dataset, scene_id, variant):
@@ -25,18 +29,28 @@ def hidden_of(dataset, scene_id, variant):
 
 
 @pytest.mark.parametrize(
-    "count", [pytest.param(21, marks=pytest.mark.long), pytest.param(252, marks=pytest.mark.thorough)]
+    "count", [pytest.param(14, marks=pytest.mark.long), pytest.param(168, marks=pytest.mark.thorough)]
 )
-@pytest.mark.parametrize("preset", ["judge", "judge-any-corner"])
+@pytest.mark.parametrize(
+    ("preset", "objects"), [("judge", {}), ("judge-any-corner", {}), ("judge-any-corner", MESHES)]
+)
 def test_scenes_are_within_the_wanted_error_and_none_is_brighter_or_darker(
-    make_dataset, variant, preset, count
+    tmp_path, variant, preset, objects, count
 ):
-    dataset = make_dataset(read_settings("presets", preset)[0] | {"dataset": {"count": count, "seed": 31}})
-    scenes = [dataset.scene(scene_id) for scene_id in dataset.ids()]
+    trimesh.creation.torus(major_radius=0.3, minor_radius=0.12).export(tmp_path / "ring.ply")
+    tables, _ = read_settings("presets", preset)
+    tables = tables | {
+        "dataset": {"count": count, "seed": 31},
+        "hidden_object": tables.get("hidden_object", {}) | objects,
+    }
+    dataset = make_dataset(
+        tmp_path / "data", preset_from_dict(tables, "a test"), mesh_folder=tmp_path, progress=False
+    )
+    scenes = [(dataset.scene(each), read_scene_folder(dataset.scene_folder(each))) for each in dataset.ids()]
     expected = [hidden_of(dataset, scene_id, variant) for scene_id in dataset.ids()]
     for wanted in (0.04, 0.01):
-        found = BatchedLight(HZ, WIDTH, HEIGHT, error=wanted, device="cpu").images(scenes).hidden
-        pairs = list(zip(found, expected, strict=True))
+        lights = SceneLights(HZ, WIDTH, HEIGHT, error=wanted, device="cpu").of(scenes)
+        pairs = [(lights[each].hidden, hidden) for each, hidden in zip(dataset.ids(), expected, strict=True)]
         errors = np.array([norm(a - b) / norm(b) for a, b in pairs])
         scales = [np.vdot(b, a).real / np.vdot(b, b).real for a, b in pairs]
         allowed = 0.05 * count + 2 * (0.05 * 0.95 * count) ** 0.5  # 5 % and two standard deviations
