@@ -95,8 +95,8 @@ def test_images_are_linear_in_the_channels_and_flip_with_them(dataset, images):
     once, thrice, flipped = images(channels), images(3 * channels), images(channels.flip(-2))
     # What is left is rounding of float32 sums.
     assert float((thrice / 3 - once).norm() / once.norm()) < 1e-5
-    # The corner is level, so it looks the same upside down, but the 200 points of a sphere do not.
-    assert float((flipped.flip(-2) - once).norm() / once.norm()) < 1 / 200
+    # The corner is level, so it looks the same upside down, but the points of a sphere do not.
+    assert float((flipped.flip(-2) - once).norm() / once.norm()) < 0.01
 
 
 def test_the_inverse_is_the_same_to_the_bit_each_time(dataset, images):

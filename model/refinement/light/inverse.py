@@ -111,6 +111,6 @@ def _hidden(
     ]
     found = np.zeros((len(depth_m), len(rays), len(wall.frequencies_hz)), complex)
     if spheres:
-        light = CornerLight(wall.frequencies_hz).over_direct(spheres, rays[meets], fine=True)
+        light = CornerLight(wall.frequencies_hz).over_direct(spheres, rays[meets], fine=False)
         found[np.ix_(behind, meets)] = light
     return found.reshape(-1, *wall.rays.shape[:2], len(wall.frequencies_hz))
