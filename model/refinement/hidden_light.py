@@ -22,6 +22,7 @@ from model.refinement.pixel_noise import pixel_noise
 
 _ROWS: Final = {True: 15, False: 10}  # of blocks of pixels, about: the hidden light is smooth over the wall
 _FEWEST_BLOCKS = 24  # for the unknowns of wall and phases, and for those of a solid
+_LEAST_PER_M = 1e-3  # a wall that is farther is none
 _WALL_STEPS = 2  # of Gauss and Newton
 _MODEL = 0.006  # error of a model's light, of the usual hidden light
 
@@ -79,7 +80,7 @@ class HiddenLight:
         relative, rays, weight, noise = (_blocks(each, size) for each in parts)
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         plane = np.asarray(found.plane_per_m)
-        good = np.isfinite(relative).all(1) & (rays @ plane > 0)
+        good = np.isfinite(relative).all(1) & (rays @ plane > _LEAST_PER_M)
         if np.count_nonzero(good) < _FEWEST_BLOCKS:
             return None
         relative, rays, weight, noise = relative[good], rays[good], weight[good, 0], noise[good, 0]
@@ -100,6 +101,8 @@ class HiddenLight:
             columns = light._of_wall()
             change = np.linalg.lstsq(columns, phases.T.ravel(), rcond=None)[0]
             plane = light.plane_per_m + change[:3]
+            if not (self.rays @ plane > _LEAST_PER_M).all():
+                return self  # a model that leaves no wall
             moved_m = 1 / (self.rays @ plane) - 1 / (self.rays @ light.plane_per_m)
             turn = moved_m[:, None] * self.slope + change[3:]
             light = replace(light, relative=light.relative * np.exp(-1j * turn), plane_per_m=plane)

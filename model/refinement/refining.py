@@ -203,10 +203,8 @@ class _Search:
 
     def _lit(self, effort: _Effort, rng: np.random.Generator) -> list[list[Fit]]:
         """Starts of each shape with the roughness of the wall that explains most; the best come first."""
-        shapes = []
-        for shape, size_m in self.family.sizes.items():
-            found, _ = self.sketch.starts(shape, size_m, effort.drawn, rng)
-            shapes.append(found[: effort.lit])
+        sizes = self.family.sizes.items()
+        shapes = [self.sketch.starts(*each, effort.drawn, rng)[: effort.lit] for each in sizes]
         wall = self.sketch.corner.relay_wall
         walls = [wall]
         if wall.roughness is not None:

@@ -70,8 +70,8 @@ class Sketch:
 
     def starts(
         self, shape: Shape, size_m: tuple[float, float, float], count: int, rng: np.random.Generator
-    ) -> tuple[list[Scene], Floats]:
-        """Candidates in `count` even random rotations, and their `differences_m`, which ascend."""
+    ) -> list[Scene]:
+        """Candidates in `count` even random rotations; their `differences_m` ascend."""
         inner = vector(self._inner_m())
         rotations = Rotation.random(count, random_state=rng).as_matrix()[: 1 if shape == "sphere" else count]
         found = [
@@ -83,10 +83,8 @@ class Sketch:
         for _ in range(_ALIGNMENTS):
             found = self._aligned(found)
         if not found:
-            return [], np.zeros(0)
-        differences_m = self.differences_m(found)
-        order = np.argsort(differences_m, kind="stable")
-        return [found[place] for place in order], differences_m[order]
+            return []
+        return [found[place] for place in np.argsort(self.differences_m(found), kind="stable")]
 
     def _aligned(self, candidates: Sequence[Scene]) -> list[Scene]:
         """Candidates moved so that their visible surfaces have the right middle, if any pixel shows them."""

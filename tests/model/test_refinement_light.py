@@ -120,6 +120,15 @@ def test_the_wall_is_found_behind_the_solids(seven, lit, comparison):
     assert misfits[0] < misfits[1]
 
 
+def test_light_that_leaves_no_wall_moves_none(seven, lit, comparison):
+    observed = comparison(sum(lit[seven.ids()[0]])).observed
+    observed = replace(observed, slope=1e-3 * observed.slope)  # phases far below one turn
+    depth_m = 1 / (observed.rays @ observed.plane_per_m)
+    hidden = observed.relative * np.exp(-1j * depth_m[:, None] * observed.slope) - 1
+    # The phases that remain are those of a wall that the first step puts at infinity.
+    assert observed.with_wall_behind(hidden) is observed
+
+
 @pytest.mark.parametrize(
     "index", [0, 2, 6, *(pytest.param(each, marks=pytest.mark.long) for each in (1, 4, 5))]
 )
