@@ -9,7 +9,10 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scenegen.pose import rotation_matrix
+from scenegen.scene import HiddenObject
 from scenegen.shapes import Shape
+from scenegen.triangles import scene_triangles
 
 # Of the bent sheet, whose arc of ±1 rad fills the unit box: radii along x and y.
 ARC_DEPTH, ARC_WIDTH = float(1 / (1 - np.cos(1.0))), float(0.5 / np.sin(1.0))
@@ -63,6 +66,18 @@ def unit_mesh(shape: Shape) -> UnitMesh:
     for array in (mesh.vertices, mesh.triangles, mesh.outermost, mesh.hull):
         array.setflags(write=False)
     return mesh
+
+
+def unit_mesh_of_part(part: HiddenObject, contents: bytes, origin: str) -> UnitMesh:
+    """The mesh of a placed object, from its PLY file in the scene's folder; all its vertices are outermost.
+
+    Raises
+    ------
+    MeshError : as `scenegen.triangles.scene_triangles`.
+    """
+    vertices, triangles = scene_triangles(contents, origin)
+    unit = (vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
+    return UnitMesh(unit.astype(np.float32), triangles.astype(np.int32), np.arange(len(unit)))
 
 
 def concave_arc(angle: float | NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from render.backend import Device
 from render.batch.light import BatchedLight, SceneLight
 from scenegen.mitsuba_description import hidden_names
-from scenegen.pose import rotation_matrix
 from scenegen.scene import Scene
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
-from scenegen.triangles import MeshError, read_triangles
-from scenegen.unit_meshes import UnitMesh
+from scenegen.triangles import MeshError
+from scenegen.unit_meshes import UnitMesh, unit_mesh_of_part
 
 Files = Mapping[str, bytes]  # contents of a scene's folder, by name
 
@@ -76,11 +73,8 @@ def _with_own_meshes(scene: Scene, files: Files) -> tuple[Scene, dict[Shape, Uni
     for part, name in zip(scene.hidden_objects, hidden_names(scene), strict=True):
         if part.shape not in PRIMITIVES:
             file = f"{name}.ply"
-            vertices, triangles = read_triangles(files.get(file, b""), "ply", f"{scene.id}/{file}")
-            unit = (vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
+            mesh = unit_mesh_of_part(part, files.get(file, b""), f"{scene.id}/{file}")
             part = replace(part, shape=f"{MESH_PREFIX}{scene.id}/{file}")
-            meshes[part.shape] = UnitMesh(
-                unit.astype(np.float32), triangles.astype(np.int32), np.arange(len(unit))
-            )
+            meshes[part.shape] = mesh
         parts.append(part)
     return replace(scene, hidden_objects=tuple(parts)), meshes

@@ -25,11 +25,11 @@ from render.products.croissant import CROISSANT_FILE, croissant, has_no_other_cr
 from render.products.distributions import distributions_figure, read_distributions
 from render.products.tiles import PICTURE_SIZE, read_tile
 from render.settings import RenderError
-from scenegen import Dataset, Scene, rotation_matrix
+from scenegen import Dataset, Scene
 from scenegen.making.meshes import UserMesh
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.shapes import MESH_PREFIX
-from scenegen.triangles import scene_triangles
+from scenegen.unit_meshes import unit_mesh_of_part
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -133,17 +133,12 @@ def meshes_in(dataset: Dataset, ids: Sequence[str]) -> dict[str, UserMesh]:
                 continue
             file = inside(dataset.scene_folder(scene_id), f"hidden_object_{number}.ply")
             try:
-                vertices, triangles = scene_triangles(read_plain(file, MOST_FILE_BYTES), str(file))
+                mesh = unit_mesh_of_part(part, read_plain(file, MOST_FILE_BYTES), str(file))
             except (OSError, NightError) as error:
                 why = error.strerror if isinstance(error, OSError) else error
                 raise RenderError(f"{file} cannot be read ({why}): run night-gen scenes again") from None
-            local = (vertices - part.location_m) @ rotation_matrix(part.rotation_deg) / part.size_m
-            meshes[part.shape] = UserMesh(
-                vertices=np.asarray(local, np.float32),
-                triangles=triangles.astype(np.int32),
-                outermost=np.arange(len(local)),
-                sha256=dataset.index.meshes.get(part.shape, ""),
-            )
+            sha256 = dataset.index.meshes.get(part.shape, "")
+            meshes[part.shape] = UserMesh(mesh.vertices, mesh.triangles, mesh.outermost, sha256)
     return meshes
 
 

@@ -2,19 +2,18 @@
 
 import numpy as np
 import pytest
-import trimesh
 from numpy.linalg import norm
+from ring_scenes import RING, scenes_with_rings
 
 from disk.preset_files import read_settings
 from itof import TransientLayout
 from render.batch.scene_lights import SceneLights
-from scenegen import make_dataset, preset_from_dict
 from scenegen.scene_folder import read_scene_folder
 
 HZ = (20e6, 50e6, 60e6)
 WIDTH, HEIGHT = 80, 60
 REFERENCE = 0.005  # error of the many lights
-MESHES = {"shapes": ["mesh:ring.ply", "cube", "cone", "concave_plane"], "composite_fraction": 0.5}
+MESHES = {"shapes": [RING, "cube", "cone", "concave_plane"], "composite_fraction": 0.5}
 
 
 def hidden_of(dataset, scene_id, variant):
@@ -37,15 +36,12 @@ def hidden_of(dataset, scene_id, variant):
 def test_scenes_are_within_the_wanted_error_and_none_is_brighter_or_darker(
     tmp_path, variant, preset, objects, count
 ):
-    trimesh.creation.torus(major_radius=0.3, minor_radius=0.12).export(tmp_path / "ring.ply")
     tables, _ = read_settings("presets", preset)
     tables = tables | {
         "dataset": {"count": count, "seed": 31},
         "hidden_object": tables.get("hidden_object", {}) | objects,
     }
-    dataset = make_dataset(
-        tmp_path / "data", preset_from_dict(tables, "a test"), mesh_folder=tmp_path, progress=False
-    )
+    dataset = scenes_with_rings(tmp_path, tables)
     scenes = [(dataset.scene(each), read_scene_folder(dataset.scene_folder(each))) for each in dataset.ids()]
     expected = [hidden_of(dataset, scene_id, variant) for scene_id in dataset.ids()]
     for wanted in (0.04, 0.01):

@@ -6,30 +6,27 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.linalg import norm
+from ring_scenes import RING, scenes_with_rings
 
 from itof import DepthMap, read_image
 from render.rendering import Renderer
 from render.settings import settings_for
-from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, open_dataset, preset_from_dict
-from scenegen import make_dataset as make_with_meshes
+from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, open_dataset
 
 TABLES = {
     "dataset": {"count": 5, "seed": 4},
     "camera": {"width": 32, "height": 24},
     "camera_spread": {"location_m": 0.2, "rotation_deg": 4.0},
-    "hidden_object": {"shapes": ["cube", "sphere", "mesh:ring.ply"], "composite_fraction": 0.4},
+    "hidden_object": {"shapes": ["cube", "sphere", RING], "composite_fraction": 0.4},
 }
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
     """Folder of five scenes in many corners; some have a ring, some two objects."""
-    folder = tmp_path_factory.mktemp("rings")
-    trimesh.creation.torus(major_radius=0.3, minor_radius=0.12).export(folder / "ring.ply")
-    preset = preset_from_dict(TABLES, "a test")
-    dataset = make_with_meshes(folder / "data", preset, mesh_folder=folder, progress=False)
+    dataset = scenes_with_rings(tmp_path_factory.mktemp("rings"), TABLES)
     parts = [[part.shape for part in dataset.scene(each).hidden_objects] for each in dataset.ids()]
-    assert any("mesh:ring.ply" in shapes for shapes in parts)
+    assert any(RING in shapes for shapes in parts)
     assert any(len(shapes) > 1 for shapes in parts)
     return dataset.root
 
@@ -95,9 +92,7 @@ def test_what_the_engine_cannot_render_goes_to_many_lights(copied):
 
 
 def test_a_damaged_mesh_is_named_and_the_other_scenes_of_its_job_are_rendered(copied):
-    ringed = next(
-        each for each in copied.ids() if copied.scene(each).hidden_objects[0].shape == "mesh:ring.ply"
-    )
+    ringed = next(each for each in copied.ids() if copied.scene(each).hidden_objects[0].shape == RING)
     other = next(each for each in copied.ids() if each != ringed)
     mesh = copied.scene_folder(ringed) / "hidden_object_0.ply"
     mesh.write_bytes(mesh.read_bytes()[:-40])
