@@ -276,12 +276,12 @@ def _number(stream: BinaryIO) -> int:
 
 def _until_zero(stream: BinaryIO, longest: int) -> bytes:
     """Bytes up to the next zero, at most `longest`."""
-    value = bytearray()
-    while (byte := stream.read(1)) != b"\0":
-        value += byte
-        if not byte or len(value) > longest:
-            raise ImageFileError("its header is damaged: a name has no end")
-    return bytes(value)
+    start = stream.tell()
+    value, zero, _ = stream.read(longest + 1).partition(b"\0")
+    if not zero:
+        raise ImageFileError("its header is damaged: a name has no end")
+    stream.seek(start + len(value) + 1)
+    return value
 
 
 def _name(value: bytes) -> str:
