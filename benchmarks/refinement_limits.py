@@ -114,7 +114,9 @@ def judged(
     prediction = predictor.at(view).predict(phasor, wall.direct)
     sizes = sizes_of(dataset, row.size_factor)
     family = Family(sizes, row.fits_sizes)
-    found = refined(phasor, prediction, wall, known_corner(dataset), light, family, seed=place)
+    found = refined(
+        phasor, prediction, wall, known_corner(dataset.scene(dataset.ids()[0])), light, family, seed=place
+    )
     accepted = found is not None and found.is_right(prediction, predictor.expected_mae_m(prediction))
     better = found.depth_map if found is not None and accepted else prediction
     return judgement(block, prediction, better, accepted)

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from itof.other_surfaces import only_wall
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.weighted_reference import weighted_reference
@@ -71,6 +72,8 @@ class HiddenLight:
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = phasor * np.conj(direct) / np.abs(direct) ** 2 * strength
             relative = relative / np.abs(phasor[..., :1]) * safe
+        safe = np.where((only_wall(np.nan_to_num(relative)) != 0).all(-1), 1.0, np.nan)[..., None]
+        relative = relative * safe
         strength = np.abs(wall.direct[..., :1]) * safe
         strength = strength / np.nanmax(strength, initial=np.finfo(float).tiny)
         size = max(1, phasor.shape[0] // _ROWS[fine])

@@ -18,6 +18,7 @@ from model.data.shards import open_shards
 from model.judging.refusals import (
     EvaluationError,
     nothing_rendered,
+    refuse_many_corners,
     refuse_missing_split,
     refuse_other_images,
 )
@@ -67,9 +68,9 @@ def refine_split(
 
     Raises
     ------
-    EvaluationError : the split has no scenes, the run was trained for other images, each scene has its camera
-        elsewhere, `objects` has no shape that can be fitted or is missing for measurements, `out` holds
-        results of another recipe, or a worker process was killed.
+    EvaluationError : the split has no scenes, the run was trained for other images or needs one corner,
+        `objects` has no shape that can be fitted or is missing for measurements, `out` holds results of
+        another recipe, or a worker process was killed.
     RunError, DeviceError, ShardError : as `model.evaluate`.
     """
     if workers < 1:
@@ -83,6 +84,7 @@ def refine_split(
     family = _family(dataset, objects, fitted)
     predictor, shards = load(run, device), open_shards(dataset, progress=progress)
     refuse_other_images(predictor.config, shards, run, dataset)
+    refuse_many_corners(predictor.config, dataset)
     rows = shards.rows(split)
     if not rows:
         raise nothing_rendered(dataset, split)
@@ -116,11 +118,6 @@ def refine_split(
 
 def _family(dataset: Dataset, objects: Preset | None, fitted: Sequence[Unknown]) -> Family:
     """What the hidden objects of a dataset may be."""
-    if not dataset.preset.is_one_corner:
-        raise EvaluationError(
-            f"each scene of {dataset.root} has its camera elsewhere (camera_spread): "
-            "refinement needs one corner"
-        )
     if objects is None and dataset.is_measured:
         raise EvaluationError(
             f"{dataset.root} holds measurements and does not say what may be there: give a preset with the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from statistics import median
 from typing import Any
 
 from pydantic.dataclasses import dataclass as checked_dataclass
@@ -10,6 +11,8 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from disk.contract import STRICT
 from disk.quantities import Vector
 from model.network.metrics import ImageMetrics, summarise, summary_cells
+
+_UNEXPLAINED = 0.2  # of the light, by most solids
 
 
 @checked_dataclass(frozen=True, config=STRICT)
@@ -91,9 +94,13 @@ class RefinementReport:
 
     @property
     def sentence(self) -> str:
-        """How many fits were accepted."""
+        """How many fits were accepted, and whether the corner may be another one."""
         accepted = sum(scene.accepted for scene in self.scenes)
-        return f"{accepted} of {len(self.scenes)} solids are accepted; the other depth maps are the network's"
+        said = f"{accepted} of {len(self.scenes)} solids are accepted; the other depth maps are the network's"
+        misfits = [scene.misfit for scene in self.scenes if scene.misfit is not None]
+        if misfits and (usual := median(misfits)) > _UNEXPLAINED:
+            said += f"; solids leave {usual:.0%} of the light: is the middle wall where the dataset has it?"
+        return said
 
     def as_data(self) -> dict[str, Any]:
         """All numbers as plain data."""

@@ -18,6 +18,7 @@ from disk.contract import STRICT
 from disk.plain_file import read_plain
 from disk.quantities import Vector
 from itof import DepthMap
+from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
@@ -34,6 +35,7 @@ from model.run_folder.run_config import Sha256
 from model.settings.run import DeviceName
 from processes.worker_processes import KILLED, results_in_order, worker_pool
 from scenegen import Dataset, Split, open_dataset
+from scenegen.pose import wall_geometry
 from scenegen.scene import Scene
 
 SCENES_FOLDER = "scenes"
@@ -66,8 +68,6 @@ class Work:
     """What the scenes of a split have in common."""
 
     bench: Bench
-    view: WallView
-    corner: Scene
     light: CornerLight
     family: Family
     recipe: Recipe
@@ -81,13 +81,14 @@ class Work:
     def _result(self, row: int, scene: str) -> RefinedScene:
         bench = self.bench
         block = bench.shards.read([row])
-        frequencies_hz = bench.predictor.config.inputs.frequencies_hz
         used = bench.predictor.config.inputs.places(bench.shards.manifest.frequencies_hz)
-        wall = self.view.expected_wall(bench.shards.reference[..., used], frequencies_hz)
         prediction = bench.predict(block)[0]
         phasor = block.phasors[0][..., used]
         entry = bench.dataset.scene(scene)
-        found = refined(phasor, prediction, wall, self.corner, self.light, self.family, seed=entry.seed)
+        corner = known_corner(entry)
+        found = refined(
+            *(phasor, prediction, self._wall(corner, used), corner, self.light, self.family), seed=entry.seed
+        )
         expected_m = bench.predictor.expected_mae_m(prediction)
         accepted = found is not None and found.is_right(
             prediction,
@@ -113,6 +114,15 @@ class Work:
         )
         self._write(result, better)
         return result
+
+    def _wall(self, corner: Scene, used: list[int]) -> ExpectedWall:
+        """Where the relay wall is expected; a dataset of one corner has a reference for its light."""
+        bench, view = self.bench, WallView(**wall_geometry(corner.camera, corner.relay_wall))
+        frequencies_hz = bench.predictor.config.inputs.frequencies_hz
+        if bench.dataset.preset.is_one_corner:
+            return view.expected_wall(bench.shards.reference[..., used], frequencies_hz)
+        height, width = bench.shards.reference.shape[:2]
+        return view.expected_wall(view.direct_phasors(width, height, frequencies_hz), frequencies_hz)
 
     def shown(self, row: int) -> tuple[str, DepthMap, DepthMap, DepthMap]:
         """Name of a finished scene, and the depth maps of truth, network and refinement."""
@@ -161,7 +171,7 @@ class Job:
         view = wall_view(dataset)
         bench = Bench(predictor.at(view), predictor.config.readout, dataset, shards, progress=False)
         light = CornerLight(predictor.config.inputs.frequencies_hz, self.device)
-        return Work(bench, view, known_corner(dataset), light, self.family, self.recipe, self.out)
+        return Work(bench, light, self.family, self.recipe, self.out)
 
 
 def worked(job: Job, work: Work, scenes: Sequence[tuple[int, str]], workers: int) -> Iterator[RefinedScene]:

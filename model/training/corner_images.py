@@ -40,7 +40,9 @@ def corner_images(
         return {}
     depth_m = config.object_depth_m or object_depth_m(shards, rows)
     images.load_state_dict(
-        bounce_inverse(images, known_corner(dataset), config.geometry, config.inputs, depth_m)
+        bounce_inverse(
+            images, known_corner(dataset.scene(dataset.ids()[0])), config.geometry, config.inputs, depth_m
+        )
     )
     deviation = images(_rendered_channels(config, shards, rows[:_SCENES])).std()
     if deviation > 0:

@@ -43,14 +43,14 @@ def dataset(tmp_path_factory):
 def images(dataset):
     """The images of the paper's corner."""
     found = BounceImages(*INPUTS.residual_channels, WIDTH, HEIGHT)
-    corner = known_corner(dataset), wall_view(dataset)
+    corner = known_corner(dataset.scene(dataset.ids()[0])), wall_view(dataset)
     found.load_state_dict(bounce_inverse(found, *corner, INPUTS, (MEAN_M, SPREAD_M)))
     return found
 
 
 def channels_of(dataset, pixel, depth_m, width=WIDTH, height=HEIGHT, size_m=0.2):
     """(1, C, H, W) input channels of a sphere whose mirror image is in the middle of a pixel (x, y)."""
-    corner, view = known_corner(dataset), wall_view(dataset)
+    corner, view = known_corner(dataset.scene(dataset.ids()[0])), wall_view(dataset)
     direct = view.direct_phasors(width, height, HZ)
     wall = view.expected_wall(direct, HZ)
     towards = pixel_rays(WIDTH, HEIGHT, view.horizontal_fov_deg)[pixel[1], pixel[0]]
@@ -100,7 +100,7 @@ def test_images_are_linear_in_the_channels_and_flip_with_them(dataset, images):
 
 
 def test_the_inverse_is_the_same_to_the_bit_each_time(dataset, images):
-    corner = known_corner(dataset), wall_view(dataset)
+    corner = known_corner(dataset.scene(dataset.ids()[0])), wall_view(dataset)
     again = bounce_inverse(images, *corner, INPUTS, (MEAN_M, SPREAD_M))
     for name, array in images.state_dict().items():
         assert torch.equal(again[name], array), name
@@ -146,7 +146,9 @@ def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
     channels = inputs.apply(phasor, inputs.reference_of_image(phasor, wall), is_weighted=True)
     images = predictor.network.images
     assert float(images(torch.as_tensor(channels)).std()) == pytest.approx(1, rel=0.01)
-    bare = bounce_inverse(images, known_corner(dataset), corner, inputs, object_depth_m(shards, rows))
+    bare = bounce_inverse(
+        images, known_corner(dataset.scene(dataset.ids()[0])), corner, inputs, object_depth_m(shards, rows)
+    )
     assert torch.equal(images.expand, bare["expand"])
 
 

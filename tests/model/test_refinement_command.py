@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 from training_runs import edit_weights
 
 from disk import OutsideError
-from itof import DepthMap
+from disk.preset_files import read_settings
+from itof import DepthMap, read_image
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
 from model.refinement.judged_refinement import refine_split
@@ -231,3 +232,29 @@ def test_a_mesh_of_any_name_is_drawn(refined, dataset, tmp_path):
     write_refined_figure(tmp_path / "a.png", [("000001 mesh:price$^$.ply", *(depth_map,) * 3)])
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size[0] > 200
+
+
+@pytest.mark.long
+def test_solids_are_found_where_each_scene_has_its_camera_elsewhere(make_dataset, tmp_path):
+    tables, _ = read_settings("presets", "judge-any-corner")
+    hidden = {
+        **{"shapes": ["cube", "cone"], "composite_fraction": 0.0},
+        "location_m": tables["hidden_object"]["location_m"],
+    }
+    wall = {"reflectance": 0.8}  # the fit knows no wall that darkens
+    made = make_dataset(
+        tables
+        | {"dataset": {"count": 4, "seed": 5, "test_fraction": 1.0, "validation_fraction": 0.0}}
+        | {"hidden_object": hidden, "relay_wall": wall}
+    )
+    render_scenes(made.root, product="itof", resolution=(80, 60), error=0.005)
+    images = [read_image(made.render_folder(each) / "itof.exr").phasors()[0] for each in made.ids()]
+    assert any((image == 0).any() for image in images)  # the middle wall is in view
+    report = refine_split("any-corner-80x60", open_dataset(made.root), tmp_path / "out", progress=False)
+    accepted = [scene for scene in report.scenes if scene.accepted]
+    assert len(accepted) >= 2
+    for scene in accepted:
+        (true,) = made.scene(scene.scene).hidden_objects
+        assert scene.solid.shape == true.shape
+        np.testing.assert_allclose(scene.solid.location_m, true.location_m, atol=0.02)
+        assert scene.refined.depth_mae_m < scene.network.depth_mae_m

@@ -54,7 +54,7 @@ def comparison(seven, light):
 
     def compared(phasor):
         observed = HiddenLight.of(phasor, expected_wall(seven), fine=True)
-        return Comparison(observed, known_corner(seven), light, fine=True)
+        return Comparison(observed, known_corner(seven.scene(seven.ids()[0])), light, fine=True)
 
     return compared
 
@@ -216,7 +216,12 @@ def test_the_noise_of_a_measurement_is_told_from_its_light(seven, lit, compariso
 
 def test_an_empty_prediction_or_a_wall_that_nobody_sees_is_not_refined(seven, lit, light):
     hidden, direct = lit[seven.ids()[0]]
-    known = expected_wall(seven), known_corner(seven), light, Family({"sphere": (0.56, 0.56, 0.56)})
+    known = (
+        expected_wall(seven),
+        known_corner(seven.scene(seven.ids()[0])),
+        light,
+        Family({"sphere": (0.56, 0.56, 0.56)}),
+    )
     nothing = DepthMap.of_object(np.zeros((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH), bool), 20e6)
     assert refined(hidden + direct, nothing, *known) is None
     dark = np.zeros_like(direct)

@@ -15,16 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from disk.quantities import Vector
 from model.settings.run import DeviceName
-from scenegen import Dataset
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.scene import Camera, Scene
 
 Floats = NDArray[np.float64]
 
 
-def known_corner(dataset: Dataset) -> Scene:
-    """What is known of the scenes of a dataset with one corner; its hidden objects do not matter."""
-    scene = dataset.scene(dataset.ids()[0])
+def known_corner(scene: Scene) -> Scene:
+    """What is known of the corner of a scene; its hidden objects do not matter."""
     return replace(scene, relay_wall=replace(scene.relay_wall, darkening=None))
 
 
