@@ -238,7 +238,8 @@ def test_a_mesh_of_any_name_is_drawn(refined, dataset, tmp_path):
 def test_solids_are_found_where_each_scene_has_its_camera_elsewhere(make_dataset, tmp_path):
     tables, _ = read_settings("presets", "judge-any-corner")
     hidden = {
-        **{"shapes": ["cube", "cone"], "composite_fraction": 0.0},
+        "shapes": ["cube", "cone"],
+        "composite_fraction": 0.0,
         "location_m": tables["hidden_object"]["location_m"],
     }
     wall = {"reflectance": 0.8}  # the fit knows no wall that darkens
