@@ -82,9 +82,10 @@ def refine_split(
     refuse_missing_split(dataset, split)
     fitted = tuple(sorted(set(unknown)))
     family = _family(dataset, objects, fitted)
-    predictor, shards = load(run, device), open_shards(dataset, progress=progress)
-    refuse_other_images(predictor.config, shards, run, dataset)
+    predictor = load(run, device)
     refuse_many_corners(predictor.config, dataset)
+    shards = open_shards(dataset, progress=progress)
+    refuse_other_images(predictor.config, shards, run, dataset)
     rows = shards.rows(split)
     if not rows:
         raise nothing_rendered(dataset, split)
