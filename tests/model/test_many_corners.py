@@ -23,6 +23,7 @@ from model.data.shards import open_shards
 from model.judging.evaluation import evaluate
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
+from model.refinement.judged_refinement import refine_split
 from model.run_folder.run_config import read_config
 from model.training.loop import train
 from model.training.refusals import TrainingError
@@ -223,6 +224,8 @@ def test_a_network_that_needs_one_wall_is_refused(corners, finished_run, tmp_pat
     if read_config(finished_run).inputs.uses_residual:
         with pytest.raises(EvaluationError, match=r"camera elsewhere"):
             evaluate(finished_run, corners, tmp_path / "report", device="cpu", progress=False)
+        with pytest.raises(EvaluationError, match=r"camera elsewhere"):
+            refine_split(finished_run, corners, tmp_path / "refined", device="cpu", progress=False)
     with pytest.raises(PresetError, match=r"channels\.reference must be 'self' or 'self\+wiggling'"):
         settings(channels="residual+wall", reference="geometry")
 
