@@ -72,6 +72,7 @@ class HiddenLight:
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = phasor * np.conj(direct) / np.abs(direct) ** 2 * strength
             relative = relative / np.abs(phasor[..., :1]) * safe
+        # In a pixel that shows an edge, the direct return alone is off by more than the hidden light.
         safe = np.where((only_wall(np.nan_to_num(relative)) != 0).all(-1), 1.0, np.nan)[..., None]
         relative = relative * safe
         strength = np.abs(wall.direct[..., :1]) * safe

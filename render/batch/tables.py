@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 Floats = NDArray[np.float64]
-_ROUGHNESS_STEP = 0.05
+_ROUGHNESS_STEP = 0.05  # of the surfaces that are mixed
 _CELL = 4.0  # distance of the unit meshes in their scene, in units of their box
 _GRID = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), -1).reshape(-1, 3)
 

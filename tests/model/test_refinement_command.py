@@ -21,6 +21,7 @@ from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
 from model.refinement.judged_refinement import refine_split
 from model.refinement.refined_figure import write_refined_figure
+from model.refinement.refined_result import RefinedScene, RefinementReport, SceneNumbers
 from model.run_folder.shipped import run_folder
 from scenegen import open_dataset
 
@@ -187,6 +188,22 @@ def test_datasets_that_cannot_be_refined_are_named(dataset, closed_form_scenes, 
     assert "wrong resolution between stages" in refusal(*command, closed_form_scenes.root, *out)
     assert "has no train split" in refusal(*command, dataset, *out, "--split", "train")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_model_that_explains_no_light_asks_for_the_middle_wall():
+    def said(*misfits):
+        numbers = SceneNumbers(0.01, None, 0.5, 0.9)
+        scenes = [
+            RefinedScene("000000", "cube", numbers, numbers, False, misfit, *(None,) * 6)
+            for misfit in misfits
+        ]
+        return RefinementReport(tuple(scenes)).sentence
+
+    assert "solids leave 60% of the light: is the middle wall where the dataset has it?" in said(
+        0.01, 0.6, 0.7
+    )
+    assert "middle wall" not in said(0.01, 0.02, 0.7)
+    assert "middle wall" not in said(None)
 
 
 def assert_same_results(out, other):
