@@ -26,7 +26,7 @@ from itof.files.measurement_files import read_measurement
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding, length
 from itof.wall.plausibility import check_measurement
-from itof.wall.wall_fit import RobustFit
+from itof.wall.wall_fit import OFFSET_STD_RAD, RobustFit
 
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked
 _REFERENCE = "the reference: "
@@ -39,7 +39,8 @@ class CaptureCheck:
     Attributes
     ----------
     found : findings, and the wall in each image.
-    distances_m : median distance of the wall in each image, metres; None where there is none.
+    distances_m : median distance of the wall in each image, metres; None where there is none, or where the
+        phase offsets leave it unknown.
     facts, reference_facts : of the capture and of that of the empty corner; None if unknown.
     """
 
@@ -58,13 +59,8 @@ class CaptureCheck:
         """What was found, as text; the findings first."""
         told = [f"warning: {warning}" for warning in self.found.warnings] or ["fine: nothing is wrong"]
         for wall, away_m in zip(self.found.walls, self.distances_m, strict=True):
-            if wall is None or away_m is None:
-                continue
-            offsets = f"phase offsets {milliradians(wall.offsets_rad)}" if any(wall.offsets_rad) else ""
-            left = f"{milliradians(wall.residual_rms_rad)} are left"
-            told.append(
-                f"the wall is {length(away_m)} away; " + "; ".join(each for each in (offsets, left) if each)
-            )
+            if wall is not None:
+                told.append(_place(wall, away_m))
         if self.facts is not None:
             told += self.facts.sentences
         if self.reference_facts is not None:
@@ -96,6 +92,7 @@ class _Images:
     fov_deg: float
     facts: CaptureFacts | None = None
     reference_facts: CaptureFacts | None = None
+    offset_std_rad: float | Sequence[float] = OFFSET_STD_RAD
     saturated_part: NDArray[np.float64] | None = None
 
 
@@ -149,7 +146,7 @@ def check_capture(
     found += [(each, f"{place:06d}") for place, check in enumerate(checks) for each in check.findings]
     missing = [None] * (len(images.phasors) - len(checks))
     shown = [_wall(check) for check in checks]
-    away = [None if fit is None else wall_distance_m(fit) for fit in shown]
+    away = [wall_distance_m(fit) if fit is not None and fit.distance_is_known else None for fit in shown]
     walls = [None if fit is None else WallSummary.of_fit(fit) for fit in shown]
     result = CaptureCheck(
         MeasurementCheck(joined(found), (*walls, *missing), images.reference is not None, ()),
@@ -174,6 +171,7 @@ def _of_frames(
         capture.facts.horizontal_fov_deg,
         capture.facts,
         None if reference is None else reference.facts,
+        sidecar[0].offset_std_rad,
         capture.saturated_part,
     )
 
@@ -203,7 +201,8 @@ def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
     facts = None if record is None else record.facts
     reference_facts = None if record is None else record.reference_facts
     names = (measured.phasors, measured.frequencies_hz, measured.reference)
-    return _Images(*names, fov_deg, facts, reference_facts)
+    known = OFFSET_STD_RAD if record is None else record.sidecar.offset_std_rad
+    return _Images(*names, fov_deg, facts, reference_facts, known)
 
 
 def _each(images: _Images) -> list[ImageCheck]:
@@ -213,7 +212,8 @@ def _each(images: _Images) -> list[ImageCheck]:
     for image in images.phasors:
         if useless > MOST_REFUSED:
             break
-        checks.append(check_image(image, images.frequencies_hz, images.fov_deg, images.facts))
+        known = (images.facts, images.offset_std_rad)
+        checks.append(check_image(image, images.frequencies_hz, images.fov_deg, *known))
         useless += any(finding.refused for finding in checks[-1].findings)
     return checks
 
@@ -223,7 +223,8 @@ def _of_reference(images: _Images, checks: list[ImageCheck]) -> list[Finding]:
     reference = images.reference
     if reference is None:
         return []
-    check = check_image(reference, images.frequencies_hz, images.fov_deg, images.reference_facts)
+    known = (images.reference_facts, images.offset_std_rad)
+    check = check_image(reference, images.frequencies_hz, images.fov_deg, *known)
     found = [Finding(each.code, f"{_REFERENCE}{each.sentence}", each.refused) for each in check.findings]
     bad = any(finding.refused for each in (check, checks[0]) for finding in each.findings)
     if not bad and check.fit is not None:
@@ -232,6 +233,21 @@ def _of_reference(images: _Images, checks: list[ImageCheck]) -> list[Finding]:
         compared = check_measurement(images.phasors[0], check.fit.wall, reference, self_calibrated=True)
         found += [each for each in compared.findings if each.code in ("wall-moved", "no-wall")]
     return found
+
+
+def _place(wall: WallSummary, away_m: float | None) -> str:
+    """How far the wall is and how certain that is, and the phases that are left."""
+    offsets, left = milliradians(wall.offsets_rad), f"{milliradians(wall.residual_rms_rad)} are left"
+    if away_m is not None:
+        return (
+            f"the wall is {length(away_m)} away, uncertain by {length(wall.distance_std_m)}; phase offsets "
+            f"{offsets}; {left}"
+        )
+    return (
+        f"the wall's distance is unknown: phase offsets of {offsets}, give or take "
+        f"{milliradians(wall.offsets_std_rad)}, are far more than those of a camera whose sidecar gives no "
+        f"phase_offsets_rad and no larger phase_offsets_std_rad; {left}"
+    )
 
 
 def _wall(check: ImageCheck) -> RobustFit | None:

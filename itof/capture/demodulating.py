@@ -50,6 +50,7 @@ def frame_phasors(raw: RawFrames, sidecar: Sidecar) -> Iterator[Complexes]:
     """(H, W, F) phasors of each frame, per second of exposure; their phases grow with distance."""
     signs = _row_signs(raw.values.shape[4]) if sidecar.alternating_row_sign else None
     weights = phasor_weights(sidecar.steps, sidecar.taps) if sidecar.is_raw else None
+    turn = np.exp(-1j * np.array(sidecar.phase_offsets_rad)) if sidecar.phase_offsets_rad else None
     dark = None if raw.dark is None else raw.dark.mean(axis=0, dtype=np.float64)
     for place, exposure_s in enumerate(raw.exposures_s):
         frame = raw.values[place]  # (F, S, T, H, W)
@@ -62,6 +63,7 @@ def frame_phasors(raw: RawFrames, sidecar: Sidecar) -> Iterator[Complexes]:
             z = _image(frame, partner, sidecar)[:, 0, 0]
         z = z if sidecar.phase_sign > 0 else z.conj()
         z = z if signs is None else z * signs[:, None]
+        z = z if turn is None else z * turn[:, None, None]
         yield np.moveaxis(z, 0, -1) / exposure_s
 
 

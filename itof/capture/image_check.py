@@ -17,8 +17,7 @@ from itof.wall.brightness import DEAD_NOTED, SATURATED_NOTED, brightness_finding
 from itof.wall.finding import Finding, length
 from itof.wall.plausibility import MISFIT_NOTED_RAD, SCATTER_REFUSED_RAD
 from itof.wall.unknown_wall import see_wall
-from itof.wall.wall_fit import RobustFit, without_unit
-from itof.wall.wall_search import WALL_SHARE
+from itof.wall.wall_fit import OFFSET_STD_RAD, WALL_SHARE, RobustFit, without_unit
 
 # The walls of the paper are 1 to 3 m away. These limits are ours.
 NEAREST_M: Final = 0.2
@@ -54,18 +53,20 @@ def check_image(
     frequencies_hz: Sequence[float],
     horizontal_fov_deg: float,
     facts: CaptureFacts | None = None,
+    offset_std_rad: float | Sequence[float] = OFFSET_STD_RAD,
 ) -> ImageCheck:
     """Judge phasors (H, W, F) by a wall of which nothing is known.
 
     Parameters
     ----------
     facts : of the capture, if they are known: noise, drift and saturation.
+    offset_std_rad : of the camera's phase offsets, as in `itof.wall.wall_fit.fit_wall`.
 
     Raises
     ------
     ValueError : values that are not finite.
     """
-    seen = see_wall(phasor, frequencies_hz, horizontal_fov_deg)
+    seen = see_wall(phasor, frequencies_hz, horizontal_fov_deg, offset_std_rad)
     if seen is None:
         words = "no wall found: no pixel holds light, or almost none"
         return ImageCheck((Finding("no-wall", words, True),), None, ())

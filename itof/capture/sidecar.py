@@ -12,6 +12,7 @@ from disk import NightError
 from disk.contract import STRICT
 from disk.quantities import FieldOfView
 from itof.capture.phase_steps import phasor_weights
+from itof.wall.wall_fit import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
 SLOWEST_HZ, FASTEST_HZ = 1e4, 1e10  # no camera modulates below or above
@@ -33,6 +34,7 @@ Number = Annotated[float, Field(gt=0, le=1e12)]
 Frequency = Annotated[float, Field(gt=0, le=FASTEST_HZ)]
 Seconds = Annotated[float, Field(ge=1e-12, le=1e6)]
 Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+Deviation = Annotated[float, Field(ge=1e-5, le=10)]
 Distortion = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 
@@ -95,6 +97,9 @@ class Sidecar:
     tap_count, taps_rad : the same for the taps of a pixel: their phases beside that of the step. Two taps are
         half a period apart.
     phase_sign : 1 if the phases that result grow with distance; -1 if they fall.
+    phase_offsets_rad : what the camera adds to the phases at each frequency, radians; it is subtracted.
+    phase_offsets_std_rad : how well this is known, standard deviations; the default of 0.1 is that of a
+        camera that its maker calibrated. A wall's distance is as uncertain as they make it.
     phase_unit : of ``amplitude-phase``: ``rad``, ``deg``, or ``dn`` with `phase_period_dn` numbers per
         period.
     depth_unit : of ``amplitude-depth``: ``m`` or ``mm``.
@@ -127,6 +132,8 @@ class Sidecar:
     tap_count: Count | None = None
     taps_rad: Angles = ()
     phase_sign: Literal[1, -1] = 1
+    phase_offsets_rad: Angles = ()
+    phase_offsets_std_rad: Annotated[tuple[Deviation, ...], Field(max_length=MOST_FREQUENCIES)] = ()
     phase_unit: Literal["rad", "deg", "dn"] = "rad"
     phase_period_dn: Annotated[float, Field(ge=1e-6, le=1e12)] | None = None
     depth_unit: Literal["m", "mm"] = "m"
@@ -177,6 +184,11 @@ class Sidecar:
         return self.saturation_dn
 
     @property
+    def offset_std_rad(self) -> tuple[float, ...]:
+        """(F,) standard deviations of the phase offsets that are left, radians."""
+        return self.phase_offsets_std_rad or (OFFSET_STD_RAD,) * len(self.frequencies_hz)
+
+    @property
     def wanted(self) -> tuple[str, ...]:
         """Names of all arrays in the file of the frames."""
         dark = self.dark_arrays if self.dark_file is None else ()
@@ -215,7 +227,10 @@ def _refuse_units(sidecar: Sidecar) -> None:
         )
     if len(set(sidecar.frequencies_hz)) < len(sidecar.frequencies_hz):
         raise ValueError("frequencies_hz names a frequency twice")
-    for key in ("steps_rad", "taps_rad"):
+    for key in ("phase_offsets_rad", "phase_offsets_std_rad"):
+        if len(getattr(sidecar, key)) not in (0, len(sidecar.frequencies_hz)):
+            raise ValueError(f"{key} must have {len(sidecar.frequencies_hz)} values, one for each frequency")
+    for key in ("steps_rad", "taps_rad", "phase_offsets_rad"):
         largest = max((abs(value) for value in getattr(sidecar, key)), default=0.0)
         if largest > _LARGEST_ANGLE:
             raise ValueError(f"{key} reaches {largest:g}: give radians, not degrees")

@@ -19,13 +19,15 @@ class WallSummary:
     ----------
     mean_shift_m, max_shift_m : mean and largest change of the wall's distance along the rays of the pixels,
         metres, without sign; the mean is weighted by the light.
-    mean_shift_std_m : standard deviation of the mean by the scatter of the phases, metres.
+    mean_shift_std_m : standard deviation of the mean, metres, with errors that are smooth over the image.
+    distance_std_m, tilt_std_deg : the same for the wall's distance along its normal, metres, and its angle,
+        degrees.
+    distance_is_known : whether the phase offsets are small enough for a distance.
     distance_shift_m : change of the wall's distance from the camera, metres; > 0: farther away.
     tilt_deg : angle between both walls, degrees.
     plane_per_m : (3,) the wall's plane m in camera axes (right, down, forward), 1/m: its distance along the
         ray r is 1 / (m · r).
-    offsets_rad, offsets_std_rad : (F,) phase offsets and their standard deviations; 0 where the plane alone
-        explains the phases.
+    offsets_rad, offsets_std_rad : (F,) phase offsets and their standard deviations.
     residual_rms_rad : (F,) phases that are left, root mean square.
     coherence : (F,) share of the light that fits the wall in phase and amplitude, 0 to 1.
     """
@@ -33,6 +35,9 @@ class WallSummary:
     mean_shift_m: float
     max_shift_m: float
     mean_shift_std_m: float
+    distance_std_m: float
+    tilt_std_deg: float
+    distance_is_known: bool
     distance_shift_m: float
     tilt_deg: float
     plane_per_m: tuple[float, ...]

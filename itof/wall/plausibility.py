@@ -37,6 +37,7 @@ STRANGE_NOTED: Final = 0.01  # share of pixels that do not fit the wall at all
 _SIGMAS = 3.0
 _DIM = 0.01  # of the median weight: a tenth of its amplitude
 _OPPOSITE = 1.9  # mismatch with the reference; 2 if all phases differ by half a turn
+_SMALL_PART = 0.25  # of the phases of a shift: the offsets that may be beside it
 _SMALL_TILT_DEG = 0.05
 _SMALL_SHIFT_M = 5e-5
 
@@ -180,8 +181,10 @@ def _place(fit: RobustFit, compared: bool) -> Iterator[Finding]:
     misfit_rad = float((fit.misfit_rad - _SIGMAS * fit.misfit_std_rad).max())
     if misfit_rad < MISFIT_NOTED_RAD:
         return
-    moved = float((fit.wall.slope * fit.mean_shift_m).max()) >= float(np.abs(fit.offsets_rad).max())
-    offsets = ", ".join(f"{1e3 * offset:+.1f}" for offset in fit.offsets_rad)
+    # A shift of the wall explains what it can of the phases; what is left to the offsets, it cannot.
+    of_shift_rad = float((fit.wall.slope * fit.mean_shift_m).max())
+    moved = float(np.abs(fit.offsets_rad).max()) <= _SMALL_PART * of_shift_rad
+    offsets = ", ".join(f"{1e3 * offset:+.1f}" for offset in fit.mean_phase_rad)
     if moved:
         code, what = (
             "wall-moved",

@@ -1,15 +1,34 @@
-"""Robust weights for the phases of one image, in numpy: they adapt to its noise, and give its errors.
+"""Robust solution of the phases of one image, in numpy: it adapts to the image's errors, and states its own.
 
 Huber's weights for the first steps, then Tukey's biweight. `itof.wall.wall_phases` has the equation.
+
+*Errors that are smooth over the image.* Light scattered in the lens, waves and hidden light bend the phases
+smoothly, so they do not average out as the noise of pixels does. What a fit leaves is therefore projected on
+polynomials of the image, orthonormal under the pixels' weights. The mean square of these coefficients per
+degree of freedom is the variance of a smooth error, v. Noise of single pixels is in it with its share. What
+is known of the unknowns beforehand (Gaussian, mean 0, variances P) is a ridge on the normal equations N:
+
+    x = (N + u / P)^-1 (right side),    covariance = (N + u / P)^-1 (s N + u² / P) (N + u / P)^-1
+
+with u = v + (1 mrad)², because a fit may hide a smooth error, and s = v + (4 mrad)², because a camera may
+hide a larger one, such as the light scattered in a lens. For u = s this is the covariance of Bayes' rule; a
+smaller u trusts the image more.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from itof.arrays import Floats
 from itof.wall.wall_phases import Residual, WallPhases
 
+_SMOOTH_RAD: Final = 1e-3  # for the fit: errors that it may hide;
+_STATED_RAD: Final = 4e-3  # for its covariance
+WAVES_STD_RAD: Final = 0.05  # of both four-cycle errors: 70 mrad together, as square waves have
+_DEGREE = 3  # of the polynomials
 _STEPS = 40  # at most; ten to twenty are usual
 _HUBER_STEPS = 5  # Huber's weights have one minimum only: a good start for Tukey's
 _SCALE_STEPS = 10  # then the scale of the residual is kept, so that the steps converge
@@ -21,45 +40,75 @@ _NOTHING = 1e-100  # root of a normal matrix's entry: from there on its inverse 
 _HOPELESS_RAD = 1.0  # scale of the residual that ends the steps early; 2.3 rad for random phases
 
 
-def robust_solution(problem: WallPhases, start: Floats) -> tuple[Floats, Floats, Floats]:
-    """Plane (3,), local unknowns (F, Q) and the covariance (P, P) of both."""
-    plane, local, scale = start.copy(), problem.first_guess(start), 1.0
+def robust_solution(
+    problem: WallPhases, start: Floats, offset_std_rad: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Plane (3,), offsets and four-cycle errors (F, 3), and the covariance (P, P) of both.
+
+    Parameters
+    ----------
+    problem : with offsets alone. The four cycles are those of the fitted phases: noise of the measured ones
+        would look like an error of the camera.
+    start : (3,) plane.
+    offset_std_rad : (F,) standard deviations of the offsets about 0; infinite if nothing is known.
+    """
+    count = len(offset_std_rad)
+    local_std_rad = np.stack([offset_std_rad, *[np.full(count, WAVES_STD_RAD)] * 2], axis=-1)
+    plane, local = start.copy(), np.zeros((count, 3))
+    local[:, :1] = np.where(np.isinf(local_std_rad[:, :1]), problem.first_guess(start), 0.0)
+    known = np.concatenate([np.zeros(3), (1 / local_std_rad**2).reshape(-1)])  # inverse variances
+    modes, scale, variance = _smooth_modes(problem), 1.0, 1.0
     for step in range(_STEPS):
+        problem = _with_four_cycles(problem, plane)
         residual = problem.residual(plane, local)
         if step < _SCALE_STEPS:
             scale = _scale(problem.weight, np.where(residual.meets, residual.left, np.pi))
         weight = problem.weight * _share(residual.left / scale, tukey=step >= _HUBER_STEPS) * residual.meets
+        if step < _SCALE_STEPS:  # slowly: a ridge that falls at once lets unknowns jump that hardly matter
+            variance = np.sqrt(variance * _smooth_variance(problem, modes, residual, scale))
+        ridge = (variance + _SMOOTH_RAD**2) * known
         normal, right = problem.normal_equations(residual, weight)
-        change = _inverse(normal) @ right
+        right = right - ridge * np.concatenate([np.zeros(3), local.reshape(-1)])
+        inverse = _inverse(normal + np.diag(ridge))
+        change = inverse @ right
         plane, local = plane + change[:3], local + change[3:].reshape(local.shape)
         moved_m = np.abs(change[:3] @ problem.pixels.tangent(residual.depth_m)).max()
         moved_rad = moved_m * problem.pixels.slope.max() + np.abs(change[3:]).max(initial=0.0)
         if step >= _SCALE_STEPS and (moved_rad < _SMALL_STEP_RAD or scale > _HOPELESS_RAD):
             break
-    return plane, local, _covariance_of_tukey(problem, residual, scale)
+    variance = _smooth_variance(problem, modes, residual, scale)
+    stated = (variance + _STATED_RAD**2) * normal + np.diag((variance + _SMOOTH_RAD**2) * ridge)
+    return plane, local, inverse @ stated @ inverse
 
 
-def covariance(
-    problem: WallPhases, residual: Residual, slope_of_influence: Floats, influence: Floats
-) -> Floats:
-    """(P, P) covariance of the unknowns of an M-estimate, for noise of any strength in each pixel.
-
-    Parameters
-    ----------
-    influence : (F, n) weight of each phase times what is left of it.
-    slope_of_influence : (F, n) its derivative by what is left.
-
-    Source: the sandwich estimator (Huber 1967; for least squares White 1980).
-    """
-    bread = _inverse(problem.normal_equations(residual, slope_of_influence)[0])
-    return bread @ problem.normal_equations(residual, influence**2)[0] @ bread
+def _with_four_cycles(problem: WallPhases, plane: Floats) -> WallPhases:
+    """The problem with the four cycles of the phases of a plane."""
+    waves = four_cycles_of(problem.pixels.depth_m(plane)[0], problem.pixels.slope)
+    return replace(problem, basis=np.concatenate([np.ones_like(waves[:, :1]), waves], axis=1))
 
 
-def _covariance_of_tukey(problem: WallPhases, residual: Residual, scale: float) -> Floats:
-    square = np.minimum(np.abs(residual.left / scale) / _TUKEY, 1.0) ** 2
-    weight = problem.weight * residual.meets
-    slope_of_influence = weight * (1 - square) * (1 - 5 * square)
-    return covariance(problem, residual, slope_of_influence, weight * (1 - square) ** 2 * residual.left)
+def four_cycles_of(depth_m: Floats, slope: Floats) -> Floats:
+    """(F, 2, n) cosine and sine of four times the phases of depths (n,), for slopes (F, 1) in rad/m."""
+    cycles = 4 * slope * depth_m
+    return np.stack([np.cos(cycles), np.sin(cycles)], axis=1)
+
+
+def _smooth_modes(problem: WallPhases) -> Floats:
+    """(n, M) polynomials of the image times the roots of the weights, orthonormal."""
+    x, y, z = problem.pixels.rays
+    root = np.sqrt(problem.weight[0])
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    rows = np.stack([(x / z) ** i * (y / z) ** j * root for i, j in powers])
+    modes: Floats = np.linalg.qr(rows.T)[0]
+    return modes
+
+
+def _smooth_variance(problem: WallPhases, modes: Floats, residual: Residual, scale: float) -> float:
+    """Variance of a smooth error, radians²; pixels that see no wall count with three times the scale."""
+    left = np.clip(np.where(residual.meets, residual.left, np.pi), -3 * scale, 3 * scale)
+    found = (left * np.sqrt(problem.weight)) @ modes  # (F, M)
+    freedom = max(found.size - 3 - len(found), 1)
+    return float((found**2).sum() / freedom)
 
 
 def _scale(weight: Floats, left: Floats) -> float:

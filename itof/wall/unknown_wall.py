@@ -1,10 +1,10 @@
 """The wall in a measurement of a camera of which only the field of view is known.
 
-Nothing is expected of the wall's place, nor of the camera's phase offsets. Planes are tried from several
-starts: from the unwrapped distances at all frequencies, and from those of the lowest frequency with any
-offset. If none explains the phases, the same is tried with phasors conjugated, frequencies in another order,
-and the image stored column by column. As in `itof.wall.phase_defects`, such an explanation counts only if it
-is much better.
+Nothing is expected of the wall's place. The first start are the unwrapped distances at all frequencies. If
+the camera's phase offsets are then not as small as they are known to be, any offsets are tried, also from
+the distances of the lowest frequency with several offsets. If nothing explains the phases, the same is tried
+with phasors conjugated, frequencies in another order, and the image stored column by column. As in
+`itof.wall.phase_defects`, such an explanation counts only if it is much better.
 """
 
 from __future__ import annotations
@@ -21,24 +21,28 @@ from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane
 from itof.wall.phase_defects import CLEAR, GOOD, OBLONG_AXES, TURNS, order_text
-from itof.wall.wall_fit import RobustFit, without_unit
+from itof.wall.wall_fit import OFFSET_STD_RAD, RobustFit, without_unit
 from itof.wall.wall_search import best_fit, plane_from_nothing
 
 _MOST_PIXELS = 2000  # of a trial
 _OFFSETS = 8  # of the lowest frequency that are tried; each start may be wrong by a quarter of a wavelength
 _FITTED = 2  # starts from which a plane is fitted
 _MOST_FREQUENCIES = 4  # of which all orders are tried
-_SUSPECT = 1e-4  # below this mismatch nothing else is tried: 14 mrad
+_SUSPECT = 1e-4  # below this mismatch nothing else is tried: 14 mrad;
+_WAVES = 5e-3  # if the offsets are as known, below this one: 0.1 rad, more than the waves of a camera
 
 
 def see_wall(
-    phasor: Phasors, frequencies_hz: Sequence[float], horizontal_fov_deg: float
+    phasor: Phasors,
+    frequencies_hz: Sequence[float],
+    horizontal_fov_deg: float,
+    offset_std_rad: float | Sequence[float] = OFFSET_STD_RAD,
 ) -> tuple[RobustFit, tuple[str, ...]] | None:
     """The fit of the wall that explains the phases (H, W, F) best; None if too few pixels hold light.
 
     Its expected wall is the one in the plane that was found. The texts say what must be wrong with the
     measurement so that the phases are those of a wall. There are none if the measurement as it stands shows
-    the wall, or if nothing explains it.
+    the wall, or if nothing explains it. `offset_std_rad` is as in `itof.wall.wall_fit.fit_wall`.
 
     Raises
     ------
@@ -51,12 +55,14 @@ def see_wall(
         return None
     largest = max(float(np.abs(phasor.real).max()), float(np.abs(phasor.imag).max()))
     unit = phasor.astype(np.complex128) / largest  # whose squares are numbers, also from complex64
-    whole = _Trial(unit, tuple(frequencies_hz), pixel_rays(width, height, horizontal_fov_deg))
+    known = tuple(np.broadcast_to(offset_std_rad, (count,)).tolist())
+    whole = _Trial(unit, tuple(frequencies_hz), pixel_rays(width, height, horizontal_fov_deg), known)
     try:
         right, fit, defects = _explained(whole)
         # with all pixels, and with the return of pixels that see an area
         wall = ExpectedWall.of_plane(fit.plane_per_m, width, height, whole.frequencies_hz, horizontal_fov_deg)
-        return best_fit(without_unit(right.phasor, wall), wall), defects
+        z = without_unit(right.phasor, wall)
+        return best_fit(z, wall, offset_std_rad=fit.known_rad), defects
     except ValueError:  # almost all of the light is in too few pixels
         return None
 
@@ -65,7 +71,7 @@ def _explained(whole: _Trial) -> tuple[_Trial, RobustFit, tuple[str, ...]]:
     """The measurement with that put right which makes it fit much better, its fit, and what was wrong."""
     best, fit = whole, _best(whole.thinned())
     defects: tuple[str, ...] = ()
-    if fit.mismatch > _SUSPECT:
+    if fit.mismatch > (_WAVES if fit.is_as_known else _SUSPECT):
         limit = min(GOOD, CLEAR * fit.mismatch)
         for parts, other in _others(whole):
             trial = _best(other.thinned())
@@ -76,11 +82,12 @@ def _explained(whole: _Trial) -> tuple[_Trial, RobustFit, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Phasors (H, W, F), their frequencies, and the rays (H, W, 3) of the pixels."""
+    """Phasors (H, W, F), frequencies, rays (H, W, 3) of the pixels, and how large phase offsets may be."""
 
     phasor: Phasors
     frequencies_hz: tuple[float, ...]
     rays: Floats
+    offset_std_rad: tuple[float, ...]
 
     def thinned(self) -> _Trial:
         lit = np.count_nonzero((self.phasor != 0).all(-1))  # the others count for nothing
@@ -121,19 +128,25 @@ def _best(trial: _Trial) -> RobustFit:
     ------
     ValueError : too few pixels see any of the planes.
     """
-    best: RobustFit | None = None
-    for plane in sorted(_starts(trial), key=lambda plane: _promise(trial, plane))[:_FITTED]:
+    starts, best, known = _starts(trial), None, trial.offset_std_rad
+    for plane in itertools.chain([next(starts)], _promising(trial, starts)):
         try:
-            fit = best_fit(trial.phasor, trial.wall(plane))
+            fit = best_fit(trial.phasor, trial.wall(plane), offset_std_rad=known)
         except ValueError:  # too few pixels see this plane
             continue
         if best is None or fit.mismatch < best.mismatch:
             best = fit
-        if best.mismatch < _SUSPECT:
+        if best.is_as_known or best.mismatch < _SUSPECT:
             break
+        known = (np.inf,)
     if best is None:
         raise ValueError("too few pixels see a plane")
     return best
+
+
+def _promising(trial: _Trial, starts: Iterator[Floats]) -> Iterator[Floats]:
+    """The best of the other starts, computed only if one is asked for."""
+    yield from sorted(starts, key=lambda plane: _promise(trial, plane))[:_FITTED]
 
 
 def _promise(trial: _Trial, plane: Floats) -> float:

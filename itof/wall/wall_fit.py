@@ -1,6 +1,9 @@
 """Fits of the relay wall: what both of them find, and the robust one, which judges one image.
 
-`itof.wall.wall_phases` has the equation. The robust fit may have a phase offset for each frequency.
+`itof.wall.wall_phases` has the equation. The robust fit has a phase offset and a four-cycle error for each
+frequency. Only the curvature of the distance over the image tells an offset from a distance, and smooth
+errors bend it. So the fit needs to know how large the camera's errors may be: a camera that its maker
+calibrated has offsets of about 0.1 rad (the real files of docs/guide/captures.md: 0.1 and 0.05 rad).
 
 *Weights of the robust fit.* A pixel has the weight |z|², the inverse of its phase variance under noise of
 equal strength in all pixels, but at most |d|² in the same unit, so that a single bright pixel has no power.
@@ -20,11 +23,15 @@ from numpy.typing import ArrayLike, NDArray
 from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.frequency_images import FrequencyImages, Slopes
 from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m, inverse_depth_of_plane
-from itof.wall.robust_solution import robust_solution
+from itof.wall.robust_solution import four_cycles_of, robust_solution
 from itof.wall.turned_reference import PixelMean
 from itof.wall.wall_phases import WallPhases, WallRays, four_cycles
 
 FITS_RAD: Final = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
+OFFSET_STD_RAD: Final = 0.1  # of a camera of which nothing else is known
+_LARGEST_OFFSET = 3.0  # root mean square, in standard deviations, of a camera that is what it was taken for
+_KNOWN_PART = 0.1  # of a distance that is known
+WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall
 MOST_PIXELS: Final = 2**14  # that decide a robust fit, evenly spread: more cost time and tell nothing new
 _DARK = 1e-12  # amplitude over the largest one of the image
 
@@ -80,28 +87,63 @@ class WallFit(Generic[A]):
 class RobustFit(WallFit):
     """Outcome of `fit_wall` for one image, in numpy; axes are the camera's.
 
-    `offsets_rad` are in [-π, π], and 0 if they were not fitted.
+    `offsets_rad` are in [-π, π], with the mean of the four-cycle errors over the image. What these leave
+    beside their mean stays in the residual, so that it can be judged.
 
     Attributes
     ----------
     wall : the expected wall.
+    known_rad : (F,) standard deviations of the offsets that the fit started from; infinite if none are known.
+    plane_covariance : (3, 3) of `plane_per_m`, 1/m², with smooth errors (`itof.wall.robust_solution`).
+    offsets_std_rad : (F,) standard deviations of the offsets, with smooth errors.
     shift_m : (H, W) L - L_0, metres along the ray; 0 in pixels that were not used.
-    residual_rad : (H, W, F) phases that the fit leaves, in [-π, π]; 0 in pixels that were not used.
+    residual_rad : (H, W, F) phases that plane and offsets leave, in [-π, π]; 0 in pixels that were not used.
     weight : (H, W) weight of each pixel before Tukey's, with sum 1; 0 in pixels that were not used.
     coherence : (F,) |sum z conj(d e^{i fit})| / sqrt(sum |z|² sum |d|²) over the used pixels: 1 if z is the
         wall's return.
-    mean_shift_std_m : standard deviation of the mean shift that the residual's scatter causes. Hidden light
-        is no scatter: its bias comes on top.
-    offsets_std_rad : (F,) the same for the offsets; 0 if they were not fitted.
+    mean_shift_std_m : standard deviation of the mean shift, with smooth errors.
     """
 
     wall: ExpectedWall
+    known_rad: Floats
+    plane_covariance: Floats
+    offsets_std_rad: Floats
     shift_m: Floats
     residual_rad: Floats
     weight: Floats
     coherence: Floats
     mean_shift_std_m: float
-    offsets_std_rad: Floats
+
+    @property
+    def is_as_known(self) -> bool:
+        """Whether the image shows a wall at every frequency, with offsets as small as they should be."""
+        times = float(np.sqrt(((self.offsets_rad / self.known_rad) ** 2).mean()))
+        return self.shows_wall and self.expects_offsets and times <= _LARGEST_OFFSET
+
+    @property
+    def expects_offsets(self) -> bool:
+        """Whether it was known how large the offsets may be."""
+        return bool(np.isfinite(self.known_rad).all())
+
+    @property
+    def shows_wall(self) -> bool:
+        """Whether there is a wall at every frequency."""
+        return bool(self.wall_share.min() >= WALL_SHARE)
+
+    @property
+    def distance_std_m(self) -> float:
+        """Standard deviation of the wall's distance along its normal, metres."""
+        return plane_std(self.plane_per_m, self.plane_covariance)[0]
+
+    @property
+    def tilt_std_deg(self) -> float:
+        """Root mean square angle between the true wall and the fitted one, degrees."""
+        return plane_std(self.plane_per_m, self.plane_covariance)[1]
+
+    @property
+    def distance_is_known(self) -> bool:
+        """Whether the stated uncertainty leaves a distance to speak of."""
+        return self.expects_offsets and self.distance_std_m <= _KNOWN_PART * distance_m(self.plane_per_m)
 
     @property
     def mean_shift_m(self) -> float:
@@ -126,14 +168,24 @@ class RobustFit(WallFit):
     @property
     def misfit_rad(self) -> Floats:
         """(F,) weighted mean of |k_f (L - L_0) + o_f|: by how much the expected phases are wrong."""
-        total = self.wall.slope * self.shift_m[..., None] + self.offsets_rad
-        mean: Floats = np.tensordot(self.weight, np.abs(total), axes=2)
+        mean: Floats = np.tensordot(self.weight, np.abs(self._wrong_rad), axes=2)
         return mean
+
+    @property
+    def mean_phase_rad(self) -> Floats:
+        """(F,) the same mean with its sign."""
+        mean: Floats = np.tensordot(self.weight, self._wrong_rad, axes=2)
+        return mean
+
+    @property
+    def _wrong_rad(self) -> Floats:
+        wrong: Floats = self.wall.slope * self.shift_m[..., None] + self.offsets_rad
+        return wrong
 
     @property
     def misfit_std_rad(self) -> Floats:
         """(F,) standard deviation of `misfit_rad` that the residual's scatter causes."""
-        unknowns = 3 + np.count_nonzero(self.offsets_rad)
+        unknowns = 3 + 3 * len(self.offsets_rad)
         return self.residual_rms_rad * np.sqrt(unknowns * (self.weight**2).sum())
 
     @property
@@ -161,22 +213,31 @@ class RobustFit(WallFit):
         return float(1 - np.tensordot(self.weight, np.cos(self.residual_rad), axes=2).mean())
 
 
+def plane_std(plane_per_m: Floats, covariance: Floats) -> tuple[float, float]:
+    """Standard deviation of the distance of a plane (3,) along its normal, metres, and its angle, degrees."""
+    inverse_m = np.linalg.norm(plane_per_m)
+    normal = plane_per_m / inverse_m
+    along = float(normal @ covariance @ normal)
+    across = max(float(np.trace(covariance)) - along, 0.0)
+    return float(np.sqrt(max(along, 0.0)) / inverse_m**2), float(np.degrees(np.sqrt(across) / inverse_m))
+
+
 def fit_wall(
     phasor: ArrayLike,
     wall: ExpectedWall,
     *,
-    offsets: bool = False,
+    offset_std_rad: ArrayLike = OFFSET_STD_RAD,
     start_per_m: ArrayLike | None = None,
 ) -> RobustFit:
-    """Fit the wall's plane and, with `offsets`, a phase offset for each frequency to one measurement.
+    """Fit the wall's plane and the camera's phase errors to one measurement.
 
     Parameters
     ----------
     phasor : (H, W, F) complex, in any unit. Pixels that are 0 at some frequency are not used. For several
         images of the same corner, fit each one, or their mean.
     wall : the expected wall. Its `direct` may be a capture of the empty corner (`ExpectedWall.captured`).
-    offsets : whether to fit phase offsets. Only differences of distance between pixels tell an offset from
-        a distance, so noise counts ten times as much; with one frequency it is hardly possible.
+    offset_std_rad : standard deviation of the phase offsets about 0, (F,) or one for all, radians, > 0;
+        infinite if they may be anything. The distance is then hardly known.
     start_per_m : (3,) plane to start from; by default the expected one, which must be right to about a
         quarter of a wavelength, c / 8f. `itof.wall.wall_search.plane_from_nothing` finds another one.
 
@@ -185,41 +246,49 @@ def fit_wall(
     ValueError : another shape than that of the expected wall, values that are not finite, or fewer than
         3 + F pixels with light.
     """
-    z, known = without_unit(phasor, wall), without_unit(wall.direct, wall)
-    used = (z != 0).all(-1) & (known != 0).all(-1) & np.isfinite(wall.radial_depth_m)
-    if np.count_nonzero(used) < 3 + len(wall.frequencies_hz):
+    z, expected = without_unit(phasor, wall), without_unit(wall.direct, wall)
+    used = (z != 0).all(-1) & (expected != 0).all(-1) & np.isfinite(wall.radial_depth_m)
+    count = len(wall.frequencies_hz)
+    if np.count_nonzero(used) < 3 + count:
         raise ValueError(f"{np.count_nonzero(used)} pixels hold light: too few for a plane")
-    z, known = z[used], known[used]  # (n, F)
-    problem = _problem(z, known, wall, used, offsets)
+    z, expected = z[used], expected[used]  # (n, F)
+    problem = _problem(z, expected, wall, used)
     start = wall.plane_per_m if start_per_m is None else np.asarray(start_per_m, dtype=np.float64)
-    plane, local, covariance = robust_solution(problem.thinned(max(1, len(z) // MOST_PIXELS)), start)
-    residual = problem.residual(plane, local)
-    left = np.where(residual.meets, residual.left, np.pi)  # (F, n)
+    known = np.broadcast_to(np.asarray(offset_std_rad, dtype=np.float64), (count,))
+    thin = problem.thinned(max(1, len(z) // MOST_PIXELS))
+    plane, local, covariance = robust_solution(thin, start, known)
+    # Offsets that are larger than they should be say that the rest is, too (Birge's ratio).
+    covariance = covariance * max(1.0, float(((local[:, 0] / known) ** 2).mean()))
+    residual = problem.residual(plane, local[:, :1])
     weight = problem.weight[0]
+    waves = (local[:, 1:, None] * four_cycles_of(residual.depth_m, problem.pixels.slope)).sum(axis=1)
+    of_waves = waves @ weight  # their mean is an offset to all who look at the image
+    left = np.angle(np.exp(1j * (residual.left - of_waves[:, None])))
+    left = np.where(residual.meets, left, np.pi)  # (F, n)
     shift_m = residual.depth_m - problem.pixels.expected_depth_m
     along = problem.pixels.tangent(residual.depth_m) @ (np.sign(shift_m) * weight)  # (3,) of the mean shift
-    offset = local.sum(axis=1)  # (F,) 0 if there is none
     return RobustFit(
         plane_per_m=plane,
-        offsets_rad=offset - 2 * np.pi * np.round(offset / (2 * np.pi)),
+        offsets_rad=np.angle(np.exp(1j * (local[:, 0] + of_waves))),
         wiggling_rad=None,
         wall=wall,
+        known_rad=known,
+        plane_covariance=covariance[:3, :3],
+        offsets_std_rad=np.sqrt(np.maximum(np.diag(covariance)[3::3], 0.0)),
         shift_m=_image(used, shift_m),
         residual_rad=_image(used, left.T),
         weight=_image(used, weight),
-        coherence=_coherence(z, known * np.exp(1j * (problem.phases - left).T)),
+        coherence=_coherence(z, expected * np.exp(1j * (problem.phases - left).T)),
         mean_shift_std_m=float(np.sqrt(max(along @ covariance[:3, :3] @ along, 0.0))),
-        offsets_std_rad=np.sqrt(np.maximum(np.diag(covariance)[3:], 0.0)) if offsets else 0 * offset,
     )
 
 
-def _problem(z: Phasors, known: Phasors, wall: ExpectedWall, used: Bools, offsets: bool) -> WallPhases:
-    """Phases of used pixels (n, F) over the expected ones; without offsets the plane is the only unknown."""
-    phases = (np.angle(z) - np.angle(known)).T
+def _problem(z: Phasors, expected: Phasors, wall: ExpectedWall, used: Bools) -> WallPhases:
+    """Phases of used pixels (n, F) over the expected ones, with an offset for each frequency."""
     xp = array_namespace(z)
     rays = WallRays(xp, wall.rays[used].T, used[used], wall.radial_depth_m[used], wall.slope[:, None])
-    basis = np.ones((1, int(offsets), len(z)))
-    return WallPhases(xp, rays, phases, basis, pixel_weights(z, known)[None])
+    phases = (np.angle(z) - np.angle(expected)).T
+    return WallPhases(xp, rays, phases, np.ones((1, 1, len(z))), pixel_weights(z, expected)[None])
 
 
 def without_unit(phasor: ArrayLike, wall: ExpectedWall) -> NDArray[np.complex128]:

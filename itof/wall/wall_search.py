@@ -1,9 +1,8 @@
-"""The wall fit that explains a measurement best: with phase offsets or without, as expected or elsewhere."""
+"""The wall fit that explains a measurement best: with known or any offsets, as expected or elsewhere."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,38 +13,50 @@ from itof.pinhole import pixel_rays
 from itof.unwrapping import combined_range_m, unwrap_depth
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
-from itof.wall.wall_fit import MOST_PIXELS, RobustFit, fit_wall, pixel_weights, without_unit
+from itof.wall.wall_fit import (
+    MOST_PIXELS,
+    OFFSET_STD_RAD,
+    RobustFit,
+    fit_wall,
+    pixel_weights,
+    without_unit,
+)
 
-WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall
-_OFFSETS_HELP = 0.7  # residual's mean square with offsets over that without: then they are real
 _FARTHEST_M = 30.0  # of a wall that is searched
 _NEAREST_M = 1e-3
 _STEPS = 40  # of the search; each takes a few milliseconds at 320 x 240
 _SAME_PLANE = 1e-6  # relative change of a step that ends the search: the fit goes on from there
 
 
-def locate_wall(phasor: Phasors, wall: ExpectedWall, *, direct: Phasors | None = None) -> RobustFit | None:
+def locate_wall(
+    phasor: Phasors,
+    wall: ExpectedWall,
+    *,
+    direct: Phasors | None = None,
+    offset_std_rad: ArrayLike = OFFSET_STD_RAD,
+) -> RobustFit | None:
     """The fit of the wall that explains the phases (H, W, F); None if too few pixels hold light.
 
-    Phase offsets are fitted only where the plane alone leaves much more: noise of 1 % would otherwise put
-    the wall centimetres off. If the wall is not near its expected place, it is searched everywhere. With
-    `direct`, a measured direct return, it is only searched near the place that this return shows.
+    If the wall is not near its expected place, it is searched everywhere. With `direct`, a measured direct
+    return, it is only searched near the place that this return shows. `offset_std_rad` is as in `best_fit`.
     """
     try:
         if direct is not None:
-            return best_fit(phasor, wall.captured(direct))
-        near = best_fit(phasor, wall)
-        if found(near):
+            return best_fit(phasor, wall.captured(direct), offset_std_rad=offset_std_rad)
+        near = best_fit(phasor, wall, offset_std_rad=offset_std_rad)
+        if near.is_as_known:
             return near
-        far = best_fit(phasor, wall, plane_from_nothing(phasor, wall))
+        far = best_fit(phasor, wall, plane_from_nothing(phasor, wall), offset_std_rad=offset_std_rad)
     except ValueError:  # too few pixels
         return None
-    return max(near, far, key=lambda each: float(each.wall_share.mean()))
+    if far.is_as_known or not near.shows_wall:
+        return max(near, far, key=lambda each: (each.is_as_known, float(each.wall_share.mean())))
+    return near
 
 
 def found(fit: RobustFit | None) -> bool:
     """Whether the fit shows a wall at every frequency."""
-    return fit is not None and bool(fit.wall_share.min() >= WALL_SHARE)
+    return fit is not None and fit.shows_wall
 
 
 def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> Floats:
@@ -105,11 +116,16 @@ def wall_from_nothing(
     return ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
 
 
-def best_fit(phasor: Phasors, wall: ExpectedWall, start_per_m: Floats | None = None) -> RobustFit:
-    """The fit from one start (`itof.wall.wall_fit.fit_wall`), with phase offsets where they are real."""
-    plane = fit_wall(phasor, wall, start_per_m=start_per_m)
-    if len(wall.frequencies_hz) == 1:
-        return plane
-    both = fit_wall(phasor, wall, offsets=True, start_per_m=start_per_m)
-    left, without = (float((each.residual_rad**2 * each.weight[..., None]).sum()) for each in (both, plane))
-    return both if left < _OFFSETS_HELP * without else plane
+def best_fit(
+    phasor: Phasors,
+    wall: ExpectedWall,
+    start_per_m: Floats | None = None,
+    *,
+    offset_std_rad: ArrayLike = OFFSET_STD_RAD,
+) -> RobustFit:
+    """The fit from one start (`itof.wall.wall_fit.fit_wall`); any offsets if the known ones do not do."""
+    fit = fit_wall(phasor, wall, offset_std_rad=offset_std_rad, start_per_m=start_per_m)
+    if fit.is_as_known:
+        return fit
+    free = fit_wall(phasor, wall, offset_std_rad=np.inf, start_per_m=start_per_m)
+    return min(fit, free, key=lambda each: each.mismatch)

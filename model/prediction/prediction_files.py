@@ -29,9 +29,10 @@ from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
-# 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view.
-PREDICTION_SCHEMA: Final = 5
-_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5)  # of earlier predictions, which are replaced
+# 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
+# 5 no uncertainty of the wall's distance and angle.
+PREDICTION_SCHEMA: Final = 6
+_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6)  # of earlier predictions, which are replaced
 _SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
 

@@ -17,6 +17,7 @@ from itof.files.measurement_files import Measurement, read_measurement
 from itof.files.measurement_writing import ENDINGS
 from itof.wall.empty_corner import CapturedPlane, find_wall
 from itof.wall.expected_wall import ExpectedWall
+from itof.wall.wall_fit import OFFSET_STD_RAD
 from itof.wall.wall_view import WallView
 from itof.weighted_reference import weighted_reference
 from render.pairs.relay_wall import relay_wall_at
@@ -121,7 +122,8 @@ def write_pairs(
     found = None
     corners = [each.reference for each, _ in measured if each.reference is not None]
     if wall == "empty" and corners:
-        found = find_wall(corners, expected)
+        known_rad = max(_offset_std_rad(Path(folder)) for folder in folders)
+        found = find_wall(corners, expected, known_rad, needs_distance=True)
     if found is not None and found.is_certain:
         walls = [relay_wall_at(found.plane_per_m, scene.relay_wall, view) for scene in scenes]
         scenes = [replace(scene, relay_wall=there) for scene, there in zip(scenes, walls, strict=True)]
@@ -151,6 +153,13 @@ def region_of(preset: Preset, view: WallView) -> Region:
         half_m += float(np.sqrt(3) * np.abs(hidden.composite_offset_m).max())
     centre = np.asarray(view.camera_axes) @ (ranges.mean(axis=1) - np.asarray(view.camera_location_m))
     return Region(centre, float(np.linalg.norm(np.ptp(ranges, axis=1)) / 2) + half_m)
+
+
+def _offset_std_rad(folder: Path) -> float:
+    """How well the camera's phase offsets are known, by the record of the import of the measurement."""
+    records = [read_import_record(folder / f"{MEASUREMENT_NAME}{ending}") for ending in ENDINGS]
+    known = [max(record.sidecar.offset_std_rad) for record in records if record is not None]
+    return max(known, default=OFFSET_STD_RAD)
 
 
 def _read(folder: Path, preset: Preset) -> tuple[Measurement, Measurement]:

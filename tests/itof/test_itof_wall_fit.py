@@ -6,7 +6,7 @@ from wall_measurements import FOV_DEG, FREQUENCIES_HZ, SLANTED, moved, noise, re
 
 from itof import direct_phasors
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.wall_fit import MOST_PIXELS, fit_wall
+from itof.wall.wall_fit import MOST_PIXELS, OFFSET_STD_RAD, fit_wall
 from itof.wall.wall_search import found, locate_wall, plane_from_nothing
 
 OFFSETS_RAD = np.array([0.3, -0.005, 0.02])
@@ -17,9 +17,9 @@ def wall():
     return wall_of_plane()
 
 
-@pytest.mark.parametrize("offsets", [False, True])
-def test_a_wall_alone_leaves_nothing(wall, offsets):
-    fit = fit_wall(wall.direct, wall, offsets=offsets)
+@pytest.mark.parametrize("known_rad", [1e-3, OFFSET_STD_RAD, np.inf])
+def test_a_wall_alone_leaves_nothing(wall, known_rad):
+    fit = fit_wall(wall.direct, wall, offset_std_rad=known_rad)
     assert fit.max_shift_m < 1e-12
     assert np.abs(fit.offsets_rad).max() < 1e-12
     assert np.abs(fit.residual_rad).max() < 1e-12
@@ -50,19 +50,17 @@ def test_a_small_shift_is_the_linear_one_up_to_second_order(wall):
     assert errors_m[0] / errors_m[1] == pytest.approx(4, rel=0.02)
 
 
-def test_phase_offsets_are_found_beside_the_plane(wall):
+def test_offsets_of_which_nothing_is_known_are_found_beside_the_plane(wall):
     plane = moved(SLANTED, 0.01, 0.3)
-    fit = fit_wall(returned(wall, plane, OFFSETS_RAD), wall, offsets=True)
+    fit = fit_wall(returned(wall, plane, OFFSETS_RAD), wall, offset_std_rad=np.inf)
     np.testing.assert_allclose(fit.offsets_rad, OFFSETS_RAD, atol=1e-8)
     np.testing.assert_allclose(fit.plane_per_m, plane, rtol=1e-8)
-    alone = fit_wall(returned(wall, plane), wall)
-    assert np.count_nonzero(alone.offsets_rad) == np.count_nonzero(alone.offsets_std_rad) == 0
 
 
 @pytest.mark.parametrize("unit", [1e-30, 1e30])
 def test_the_unit_of_a_measurement_does_not_matter(wall, unit):
     z = returned(wall, moved(SLANTED, 0.003, 0.2)) * (1 + 0.01 * noise(wall.direct.shape))
-    one, other = fit_wall(z, wall, offsets=True), fit_wall(unit * z, wall, offsets=True)
+    one, other = fit_wall(z, wall), fit_wall(unit * z, wall)
     np.testing.assert_allclose(other.plane_per_m, one.plane_per_m, rtol=1e-9)
     np.testing.assert_allclose(other.residual_rms_rad, one.residual_rms_rad, rtol=1e-9)
     np.testing.assert_allclose(other.coherence, one.coherence, rtol=1e-9)
@@ -83,32 +81,56 @@ def test_damaged_pixels_and_dark_ones_move_nothing(wall):
     rng = np.random.default_rng(1)
     z[rng.random(z.shape[:2]) < 0.1] *= 1e4 * np.exp(2j)  # hot, of another phase
     z[rng.random(z.shape[:2]) < 0.1] = 0
-    fit = fit_wall(z, wall, offsets=True)
+    fit = fit_wall(z, wall)
     np.testing.assert_allclose(fit.plane_per_m, plane, rtol=1e-8)
     assert np.count_nonzero(fit.weight) == np.count_nonzero(z[..., 0])
     assert 0.05 < 1 - fit.fits.sum() / np.count_nonzero(fit.weight) < 0.15
 
 
-def test_the_stated_uncertainty_is_that_of_repeated_measurements(wall):
-    sigma = 0.01
-    fits = [
-        fit_wall(wall.direct * (1 + sigma * noise(wall.direct.shape, seed)), wall, offsets=True)
-        for seed in range(80)
-    ]
-    found = np.std([fit.offsets_rad for fit in fits], axis=0)
-    # The standard deviation of 80 draws is right within 8 %: 25 % are three of its own.
-    np.testing.assert_allclose(np.mean([fit.offsets_std_rad for fit in fits], axis=0), found, rtol=0.25)
-    np.testing.assert_allclose(np.mean([fit.residual_rms_rad for fit in fits], axis=0), sigma, rtol=0.1)
+def smooth(shape, rms_rad, rng):
+    """Phase errors (H, W, F) that are smooth over the image: random sums of waves of up to two halves."""
+    y, x = (np.linspace(0, np.pi, size) for size in shape[:2])
+    waves = [np.cos(i * y)[:, None] * np.cos(j * x) for i in range(3) for j in range(3)]
+    error = np.tensordot(rng.standard_normal((shape[-1], 9)), waves, axes=1)  # (F, H, W)
+    return np.moveaxis(rms_rad * error / np.sqrt((error**2).mean()), 0, -1)
 
 
-def test_a_fit_without_offsets_is_far_more_certain(wall):
+@pytest.mark.parametrize(("noise_rad", "smooth_rad"), [(0.03, 0.0), (1e-4, 0.02), (0.01, 0.005)])
+@pytest.mark.parametrize("known_rad", [0.005, OFFSET_STD_RAD])
+def test_the_wall_is_within_what_is_stated(wall, noise_rad, smooth_rad, known_rad):
+    off_m, off_deg = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        error = known_rad * rng.standard_normal(3) + smooth(wall.direct.shape, smooth_rad, rng)
+        z = wall.direct * np.exp(1j * error) * (1 + noise_rad * noise(wall.direct.shape, seed))
+        fit = fit_wall(z, wall, offset_std_rad=known_rad)
+        off_m.append(fit.distance_shift_m / fit.distance_std_m)
+        off_deg.append(fit.tilt_deg / fit.tilt_std_deg)
+    # Each within two standard deviations in 95 % of the cases: of 40, 34 with a probability of 99 %.
+    for times in (off_m, off_deg):
+        assert np.count_nonzero(np.abs(times) < 2) >= 34
+    # And nothing is stated that is far too large: the offsets are the prior's, or known better.
+    assert fit.distance_std_m < 1.5 * known_rad / np.linalg.norm(wall.slope) + 0.02
+
+
+def test_a_distance_is_known_as_well_as_the_offsets(wall):
+    z = wall.direct * (1 + 1e-4 * noise(wall.direct.shape))
+    std_m = [fit_wall(z, wall, offset_std_rad=rad).distance_std_m for rad in (1e-3, 0.01, 0.1, np.inf)]
+    assert std_m == sorted(std_m)
+    # Offsets that differ from frequency to frequency are a shift of their least squares, σ / |k|; smooth
+    # errors come on top.
+    assert 0.8 < std_m[2] / (0.1 / np.linalg.norm(wall.slope)) < 2
+    assert fit_wall(z, wall).distance_is_known
+    assert not fit_wall(z, wall, offset_std_rad=np.inf).distance_is_known
+
+
+def test_offsets_that_no_calibrated_camera_has_are_any_offsets(wall):
     z = wall.direct * (1 + 0.01 * noise(wall.direct.shape))
-    plane, both = fit_wall(z, wall), fit_wall(z, wall, offsets=True)
-    assert plane.mean_shift_std_m < both.mean_shift_std_m / 4
-    # So offsets are fitted only where they explain something.
-    assert not locate_wall(z, wall).offsets_rad.any()
-    fit = locate_wall(z * np.exp(1j * OFFSETS_RAD), wall)
-    assert (np.abs(fit.offsets_rad - OFFSETS_RAD) < 4 * fit.offsets_std_rad).all()
+    for offsets, known in ((OFFSETS_RAD / 3, True), (7 * OFFSETS_RAD, False)):
+        fit = locate_wall(z * np.exp(1j * offsets), wall)
+        assert found(fit)
+        assert fit.is_as_known == fit.distance_is_known == known
+        assert (np.abs(fit.offsets_rad - offsets) < 3 * fit.offsets_std_rad).all()
 
 
 @pytest.mark.parametrize("frequencies_hz", [FREQUENCIES_HZ, (20e6,)])
@@ -134,7 +156,7 @@ def test_a_large_image_is_fitted_by_some_of_its_pixels():
     wall = wall_of_plane(width=320, height=240)
     assert wall.direct[..., 0].size > 4 * MOST_PIXELS
     plane = moved(SLANTED, 0.003, 0.1)
-    fit = fit_wall(returned(wall, plane), wall, offsets=True)
+    fit = fit_wall(returned(wall, plane), wall)
     np.testing.assert_allclose(fit.plane_per_m, plane, rtol=1e-8)
     assert fit.residual_rad.shape == wall.direct.shape
 
@@ -146,7 +168,7 @@ def test_means_over_pixels_have_the_phase_of_their_centres():
     places = [normal * distance_m for distance_m in (1.1, 1.105)]
     view = [direct_phasors(26, 18, FOV_DEG, FREQUENCIES_HZ, *camera, place, normal) for place in places]
     wall = ExpectedWall.of_camera(view[0], FREQUENCIES_HZ, FOV_DEG, *camera, places[0], normal)
-    fit = fit_wall(view[1], wall)
+    fit = fit_wall(view[1], wall, offset_std_rad=1e-5)
     # In a pixel, distances differ by up to p = 0.05 of themselves: the shift of the mean by p² / 12 of it.
     assert fit.distance_shift_m == pytest.approx(0.005, rel=2e-4)
     assert fit.tilt_deg < 1e-4
