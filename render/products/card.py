@@ -14,6 +14,7 @@ from typing import Any
 
 from disk import NightError
 from disk.byte_size import size
+from disk.plain_file import read_plain
 from itof import DEPTH_CHANNEL, MASK_CHANNEL, megahertz, unambiguous_range_m
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
@@ -50,7 +51,10 @@ def read_card(dataset: Dataset) -> EarlierCard:
     file = dataset.root / CARD_FILE
     if not file.exists():
         return EarlierCard(is_ours=True, licence=None)
-    mark = _MARK.search(file.read_text(encoding="utf-8", errors="replace")) if file.is_file() else None
+    try:
+        mark = _MARK.search(read_plain(file).decode(errors="replace"))
+    except OSError:
+        mark = None
     try:
         licence = json.loads(mark["licence"]) if mark else None
     except (ValueError, RecursionError):

@@ -152,7 +152,7 @@ TABLE = [
     ("night-train {data} --out {out} --width 1000000", "out of memory with batch size 16 and width 1000000"),
     ("night-train {data} --out {out} --batch-size 0", "0 is not in the range 1<=x<=1000000000"),
     ("night-train {data} --out {out} --set optimiser.ema_decay=1", "optimiser.ema_decay must be less than 1"),
-    ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range x>0"),
+    ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range 1e-30<=x<="),
     ("night-train {data} --out {out} --learning-rate inf", "optimiser.learning_rate must be a finite number"),
     (
         "night-train {data} --out {out} --preset paper --set target.alpha=nan",
@@ -173,7 +173,7 @@ TABLE = [
     ("night-train {data} --out {out} --levels 8 --block 16", "take fewer levels or a smaller block"),
     (
         "night-train {data} --out {out} --set augmentation.paper.rotation_deg=181",
-        "augmentation.paper.rotation_deg must be less than or equal to 180 (got 181)",
+        "augmentation.paper.rotation_deg must be 0 to 180 degrees (got 181)",
     ),
     (f"night-train {{data}} --out {{out}} --seed {2**63}", "is not in the range"),
     ("night-train {data} --out {out} --frequencies x", "'x' is no list of frequencies"),
