@@ -48,6 +48,7 @@ class Bounds:
 FARTHEST_M = 1000
 MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0  # also least of an image that is imported
 FREQUENCY = Bounds(1e4, 1e10, "Hz", below="give Hz, not MHz, like {}e6")  # no camera modulates beyond
+TRANSMITTED = Bounds(1e-6, 1)  # part of the light or of its electrons
 BIN_WIDTH = Bounds(1e-9, 1e6, "m")  # of a transient file of any program; those of presets are a `Length`
 JOB_MEMORY = Bounds(1e8, 1e15, "bytes", below="give it with a unit, like 32GB")
 JOB_COUNT = Bounds(1, 1e6)
@@ -61,7 +62,7 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 RelativeError = Annotated[float, Bounds(1e-6, 1)]
 Roughness = Annotated[float, Bounds(1e-4, 1)]
-Transmitted = Annotated[float, Bounds(1e-6, 1)]  # part of the light or of its electrons
+Transmitted = Annotated[float, TRANSMITTED]
 FNumber = Annotated[float, Bounds(0.1, 1000)]
 CosinePower = Annotated[float, Bounds(0, 100)]
 DutyCycle = Annotated[float, Bounds(0.001, 0.999)]

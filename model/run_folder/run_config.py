@@ -68,7 +68,8 @@ class RunConfig:
     ----------
     settings : settings of the training.
     inputs : input channels and their constants, which were fitted to the training scenes.
-    output_frequency_hz : modulation frequency of the predicted phasor, Hz; the first of the dataset.
+    output_frequency_hz : modulation frequency of the predicted phasor, Hz; the first of the dataset, or a
+        whole part of it where its phase does not represent every depth.
     geometry : camera and relay wall, from which the direct return is computed.
     image_width, image_height : size of the training images, pixels.
     preset_sha256 : hash of the dataset's resolved preset.

@@ -39,11 +39,6 @@ class UserMesh(UnitMesh):
 
     sha256: str
 
-    @property
-    def radius(self) -> float:
-        """Largest distance of a vertex from the origin; 1/2 to √3/2."""
-        return float(np.linalg.norm(self.hull, axis=1).max())
-
 
 def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
     """Read the meshes that a preset's shapes name, by shape; `folder` is the preset's folder.
