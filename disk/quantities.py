@@ -29,9 +29,10 @@ class Bounds:
         """Why a number is refused, as a predicate; None if it is within the bounds."""
         if self.least <= value <= self.most:
             return None
-        unit, advice = f" {self.unit}" if self.unit else "", self.below if value < self.least else self.above
-        ending = f": {advice.format(f'{value:g}')}" if advice else ""
-        return f"must be {self.least:g} to {self.most:g}{unit} (got {value:g}){ending}"
+        unit, given = f" {self.unit}" if self.unit else "", f"{value:.10g}"
+        advice = self.below if value < self.least else self.above
+        ending = f": {advice.format(given)}" if advice else ""
+        return f"must be {self.least:g} to {self.most:g}{unit} (got {given}){ending}"
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -56,7 +57,7 @@ JOB_COUNT = Bounds(1, 1e6)
 # Without a unit.
 WholeCount = Annotated[int, Field(ge=1, le=1_000_000_000)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-Positive = Annotated[float, Bounds(1e-30, 1e30)]  # float32 holds them
+Positive = Annotated[float, Bounds(1e-37, 1e37)]  # float32 holds them
 NotNegative = Annotated[float, Bounds(0, 1e12)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Reflectance = Annotated[float, Field(ge=0, le=1)]

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from disk import PathLike, is_partial, whole_file, write_text
 from disk.inner_paths import inside
-from disk.plain_file import read_plain
+from disk.plain_file import read_text
 from model.data.shards import open_shards
 from model.judging.refusals import (
     EvaluationError,
@@ -140,7 +140,7 @@ def _prepare(out: Path, recipe: Recipe) -> None:
     file = out / RECIPE_FILE
     if file.exists():
         try:
-            earlier = TypeAdapter(Recipe).validate_json(read_plain(file))
+            earlier = TypeAdapter(Recipe).validate_json(read_text(file))
         except (OSError, ValueError):
             earlier = None
         if earlier is None:

@@ -153,8 +153,8 @@ TABLE = [
     ("night-train {data} --out {out} --width 1000000", "out of memory with batch size 16 and width 1000000"),
     ("night-train {data} --out {out} --batch-size 0", "0 is not in the range 1<=x<=1000000000"),
     ("night-train {data} --out {out} --set optimiser.ema_decay=1", "optimiser.ema_decay must be less than 1"),
-    ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range 1e-30<=x<="),
-    ("night-train {data} --out {out} --learning-rate inf", "inf is not in the range 1e-30<=x<="),
+    ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range 1e-37<=x<="),
+    ("night-train {data} --out {out} --learning-rate inf", "inf is not in the range 1e-37<=x<="),
     (
         "night-train {data} --out {out} --preset paper --set target.alpha=nan",
         "target.alpha must be a finite number",
