@@ -321,7 +321,7 @@ def test_sensor_files_with_mistakes_are_refused_by_their_key(tmp_path):
         ("contrast = [[60e6, 0.5], [20e6, 0.6]]", "the frequencies must ascend, each once"),
         ("contrast = [[20e6, 1.5]]", "contrast"),
         ("adc_bits = 12", "adc_bits and adc_e_per_dn go together"),
-        ("scattering = 0.1\nscattering_width = 1e6", "scattering_width must be 0.0001 to 10 (got 1e+06)"),
+        ("scattering = 0.1\nscattering_width = 1e6", "scattering_width must be 0.0001 to 10 (got 1000000)"),
         ("distortion = [-0.5, 0.0]", "folds the image before the corners"),
         ("phase_steps = 2", "phase_steps must be greater than or equal to 3"),
         ("integration_s = nan", "integration_s"),
