@@ -44,8 +44,8 @@ def scenes(out: Path, preset: str | None, count: int | None, seed: int | None, w
 
     Damaged scenes are made again. A dataset in OUT brings its own preset.
     """
+    from scenegen.depth_range import refuse_wrapping_depths
     from scenegen.making.datasets import blender_maker
-    from scenegen.making.depth_range import refuse_wrapping_depths
     from scenegen.making.generation import generate
     from scenegen.making.generation_pool import generate_in_processes
     from scenegen.making.meshes import read_meshes

@@ -106,12 +106,12 @@ def _option_type(fields: list[FieldInfo]) -> click.ParamType:
         return Sensor()
     if number not in (int, float):
         return Megahertz()
-    names = ("ge", "gt", "le", "lt")
+    names = ("ge", "gt", "least", "le", "lt", "most")
     bounds = {name: getattr(item, name) for item in metadata for name in names if hasattr(item, name)}
     kind = click.IntRange if number is int else Number
     return kind(
-        min=bounds.get("ge", bounds.get("gt")),
-        max=bounds.get("le", bounds.get("lt")),
+        min=bounds.get("ge", bounds.get("gt", bounds.get("least"))),
+        max=bounds.get("le", bounds.get("lt", bounds.get("most"))),
         min_open="gt" in bounds,
         max_open="lt" in bounds,
     )

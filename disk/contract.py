@@ -13,6 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, from_json
 
 from disk.night_error import NightError
+from disk.plain_file import decoded
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 DOCUMENTED = ConfigDict(**STRICT, use_attribute_docstrings=True)  # the text below a field describes it
@@ -59,6 +60,10 @@ def checked(
     ContractError, or `refusal` where it is given : one sentence that names the file, the key and the problem.
     """
     try:
+        text = decoded(text) if isinstance(text, bytes) else text
+    except UnicodeError as error:
+        raise refusal(f"{origin} cannot be read: {error}") from None
+    try:
         return adapter.validate_json(text)
     except ValidationError as error:
         raise refusal(f"{origin}: {_problem(error.errors()[0], text)}") from None
@@ -75,7 +80,7 @@ def checked_data(
     return checked(adapter, text, origin, refusal)
 
 
-def _problem(error: ErrorDetails, text: str | bytes) -> str:
+def _problem(error: ErrorDetails, text: str) -> str:
     """What is wrong with a key of the text, and what it must be."""
     kind, place = error["type"], _place_in_text(error, text)
     key = ".".join(str(part) for part in place) or "the file"
@@ -92,6 +97,8 @@ def _problem(error: ErrorDetails, text: str | bytes) -> str:
     if kind == "missing":
         return f"key {key} is missing"
     message = error["msg"].removeprefix("Value error, ")
+    if message.startswith("must be "):  # of `disk.quantities`
+        return f"{key} {message}"
     if kind == "value_error" and not place:
         return message  # of several keys together, which it names
     if kind in ("too_short", "too_long"):
@@ -106,7 +113,7 @@ def _problem(error: ErrorDetails, text: str | bytes) -> str:
     return f"{key}: {message}{given}"
 
 
-def _place_in_text(error: ErrorDetails, text: str | bytes) -> tuple[int | str, ...]:
+def _place_in_text(error: ErrorDetails, text: str) -> tuple[int | str, ...]:
     """Keys and indices that lead to the error: those of pydantic without the kinds of tables."""
     if error["type"] == "json_invalid":
         return error["loc"]

@@ -12,11 +12,10 @@ import time
 from pathlib import Path
 
 from disk.path_like import PathLike
-from disk.plain_file import read_plain
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from disk.whole_writing import write_text
 
 HASHES_FILE = ".hashes.json"
-_MOST_BYTES = 2**30
 _RACY_NS = 2_000_000_000  # a file that is younger may change again without a new time of change
 
 
@@ -77,7 +76,7 @@ class FileHashes:
 
 def _read(file: Path) -> dict[str, list[int | str]]:
     try:
-        known = json.loads(read_plain(file, _MOST_BYTES))
+        known = json.loads(read_plain(file, MOST_LIST_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(known, dict):

@@ -6,13 +6,11 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Final
 
 from disk.file_hashes import sha256_of
 from disk.night_error import NightError
 from disk.partials import remove_leftovers
 
-MOST_RECORD_BYTES: Final = 2**28  # of the file that lists the others
 _NAMED = 3  # files that a refusal names
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from disk.night_error import NightError
 from disk.path_like import PathLike
+from disk.plain_file import read_text
 
 
 class PresetError(NightError):
@@ -35,13 +36,15 @@ def read_settings(kind: str, name_or_file: PathLike) -> tuple[dict[str, Any], st
     named = _shipped(kind)
     file = named.get(os.fspath(name_or_file), Path(name_or_file))
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8")), str(file)
+        return tomllib.loads(read_text(file)), str(file)
     except (FileNotFoundError, IsADirectoryError):
         raise PresetError(
             f"no preset {name_or_file}: give a .toml file or one of {', '.join(sorted(named))}"
         ) from None
     except OSError as error:
         raise PresetError(f"{file} cannot be read: {error.strerror}") from None
+    except UnicodeError as error:
+        raise PresetError(f"{file} cannot be read: {error}") from None
     except (ValueError, RecursionError) as error:  # also numbers too long, and tables too deep
         raise PresetError(f"{file} cannot be read as TOML: {error}") from None
 

@@ -23,6 +23,7 @@ from disk.contract import STRICT, ContractError, checked
 from disk.inner_paths import inside
 from disk.night_error import NightError
 from disk.path_like import PathLike
+from disk.plain_file import MOST_LIST_BYTES, read_plain, read_text
 from disk.quantities import ClassName
 from disk.whole_writing import write_text
 from scenegen.preset import Preset
@@ -167,9 +168,11 @@ class Dataset:
         folder = self.scene_folder(scene)
         try:
             file = inside(folder, SCENE_FILE)
-            return scene_of({SCENE_FILE: file.read_bytes()} if file.is_file() else {}, folder)
+            return scene_of({SCENE_FILE: read_plain(file)} if file.exists() else {}, folder)
         except ContractError as error:
             raise DatasetError(str(error)) from None
+        except OSError as error:
+            raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from None
 
 
 def scene_entry(scene: Scene, files: Mapping[str, bytes]) -> SceneEntry:
@@ -218,10 +221,8 @@ def open_dataset(root: PathLike) -> Dataset:
         raise DatasetError(f"{root} is a file: give the folder of a dataset")
     if not root.is_dir():
         raise DatasetError(f"there is no folder {root}: make a dataset with night-gen scenes {root}")
-    if file.exists() and not file.is_file():
-        raise DatasetError(f"{file} is not a file: choose another folder")
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file, MOST_LIST_BYTES)
         data = json.loads(text)
     except FileNotFoundError:
         raise DatasetError(
@@ -229,6 +230,8 @@ def open_dataset(root: PathLike) -> Dataset:
         ) from None
     except OSError as error:
         raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from None
+    except UnicodeError as error:
+        raise DatasetError(f"{file} cannot be read: {error}") from None
     except (ValueError, RecursionError) as error:  # also numbers too long, and lists too deep
         raise DatasetError(f"{file} cannot be read as JSON: {error}") from None
     schema = data.get("schema_version") if isinstance(data, dict) else None

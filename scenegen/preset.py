@@ -20,16 +20,21 @@ from disk.quantities import (
     FARTHEST_M,
     MAX_FOV_DEG,
     MIN_FOV_DEG,
+    CameraMove,
     Degrees,
+    Distance,
     Extent,
     FieldOfView,
     Fraction,
+    Frequency,
     Length,
     Location,
     Metres,
+    QuarterTurn,
     Reflectance,
     Rotation,
     Roughness,
+    Seed,
 )
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
@@ -64,7 +69,7 @@ class DatasetSettings:
     """
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1344  # ids have six digits
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Seed = 0
     test_fraction: Fraction = 0.2
     validation_fraction: Fraction = 0.2
 
@@ -188,10 +193,10 @@ class CameraSpread:
     `horizontal_fov_deg`. The projector goes with the camera.
     """
 
-    location_m: Annotated[float, Field(ge=0, le=100)] = 0.0
-    rotation_deg: Annotated[float, Field(ge=0, le=90)] = 0.0
+    location_m: CameraMove = 0.0
+    rotation_deg: QuarterTurn = 0.0
     # Left out of files where it is 0, so that datasets without it keep their bytes.
-    horizontal_fov_deg: Annotated[float, Field(ge=0, le=90, exclude_if=lambda value: value == 0)] = 0.0
+    horizontal_fov_deg: Annotated[QuarterTurn, Field(exclude_if=lambda value: value == 0)] = 0.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -203,7 +208,7 @@ class TransientSettings:
 
     bin_count: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
     bin_width_m: Length = 0.01
-    start_opl_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    start_opl_m: Distance = 0.0
     max_bounces: Annotated[int, Field(ge=1, le=MOST_BOUNCES)] = 3
 
 
@@ -211,9 +216,11 @@ class TransientSettings:
 class ItofSettings:
     """Modulation frequencies of the camera, Hz, lowest first."""
 
-    frequencies_hz: Annotated[
-        tuple[Annotated[float, Field(ge=1)], ...], Field(min_length=1), AfterValidator(_distinct)
-    ] = (20e6, 50e6, 60e6)
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1), AfterValidator(_distinct)] = (
+        20e6,
+        50e6,
+        60e6,
+    )
 
     def __post_init__(self) -> None:
         if list(self.frequencies_hz) != sorted(self.frequencies_hz):

@@ -28,7 +28,6 @@ IMAGE_FILES = (MEASUREMENT_FILE, GROUND_TRUTH_FILE)
 TRANSIENT_FILES = (TRANSIENT_FILE, MIRRORED_TRANSIENT_FILE)
 RECORD_FILE, FAILURE_FILE, FAILURE_LOG = "render.json", "failure.json", "failure.log"
 BAD_FILE = "bad.json"
-_MOST_BYTES = 2**24  # of a record
 Contents = TypeVar("Contents")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 # The name of a file in a record becomes part of a path, so it must be one of the names above.
@@ -172,7 +171,7 @@ def forget_bad_render(folder: PathLike, record: RenderRecord) -> None:
 
 def _read(adapter: TypeAdapter[Contents], file: Path) -> Contents | None:
     try:
-        contents: Contents = checked(adapter, read_plain(file, _MOST_BYTES), str(file))
+        contents: Contents = checked(adapter, read_plain(file), str(file))
     except (OSError, ContractError):
         return None
     return contents

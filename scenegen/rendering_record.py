@@ -19,7 +19,6 @@ from disk.quantities import WholeCount
 from disk.whole_writing import write_text
 
 RENDERING_FILE = "rendering.json"
-_MOST_BYTES = 2**24
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -60,7 +59,7 @@ def read_rendering_record(renders: PathLike) -> RenderingRecord | None:
     """
     file = Path(renders, RENDERING_FILE)
     try:
-        text = read_plain(file, _MOST_BYTES)
+        text = read_plain(file)
     except FileNotFoundError:
         return None
     record: RenderingRecord = checked(TypeAdapter(RenderingRecord), text, str(file))

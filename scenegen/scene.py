@@ -8,7 +8,16 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT, checked
-from disk.quantities import ClassName, Extent, FieldOfView, Positive, Reflectance, Roughness, Vector
+from disk.quantities import (
+    ClassName,
+    Extent,
+    FieldOfView,
+    Positive,
+    Reflectance,
+    Roughness,
+    Vector,
+    WholeTurn,
+)
 from scenegen.preset import MOST_BOUNCES, CameraSettings, Material
 from scenegen.shapes import Shape
 
@@ -51,7 +60,7 @@ class Darkening:
     """
 
     least_reflectance: Reflectance
-    direction_deg: Annotated[float, Field(ge=0, le=360)]
+    direction_deg: WholeTurn
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -83,7 +92,7 @@ class Emitter:
     horizontal_fov_deg: FieldOfView
     location_m: Vector
     rotation_deg: Vector
-    irradiance: Annotated[float, Field(gt=0, le=1e12)]
+    irradiance: Positive
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -132,7 +141,7 @@ def scene_to_json(scene: Scene) -> str:
     return TypeAdapter(Scene).dump_json(scene, indent=2).decode() + "\n"
 
 
-def scene_from_json(text: str, origin: str) -> Scene:
+def scene_from_json(text: str | bytes, origin: str) -> Scene:
     """Scene from the text of a ``scene.json``; `origin` names the file in the message of an error.
 
     Raises

@@ -72,10 +72,7 @@ def scene_of(files: Mapping[str, bytes], folder: Path) -> Scene:
     file = folder / SCENE_FILE
     if SCENE_FILE not in files:
         raise ContractError(f"{file} is missing: run night-gen scenes again")
-    try:
-        scene = scene_from_json(files[SCENE_FILE].decode(), str(file))
-    except UnicodeDecodeError as error:
-        raise ContractError(f"{file} cannot be read: {error}") from None
+    scene = scene_from_json(files[SCENE_FILE], str(file))
     if scene.id != folder.name:
         raise ContractError(f"{file} describes scene {scene.id}: run night-gen scenes again")
     return scene

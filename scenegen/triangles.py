@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import io
+import json
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from disk.night_error import NightError
+from disk.plain_file import MOST_BYTES
 
 MAX_TRIANGLES = 2_000_000  # a PLY file of 26 MB; Blender needs seconds for it
+_MOST_CORNERS = 3 * MAX_TRIANGLES
+_MOST_NUMBERS = 64 * MAX_TRIANGLES  # places, normals, colours, ... of all corners, and their indices
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FARTHEST_M = 1e6  # of a vertex of a scene: positions are within 1000 m of the origin
 
 
@@ -36,6 +41,8 @@ def read_triangles(contents: bytes, kind: str, origin: str) -> tuple[NDArray[np.
     # A comment of a PLY file may name a picture; pictures in a GLB file may take all memory.
     options = {"skip_materials": True} if kind in ("ply", "glb") else {}
     try:
+        if kind == "glb":
+            _refuse_claims(contents, origin)
         scene = trimesh.load_scene(io.BytesIO(contents), file_type=kind, process=False, **options)
         _refuse_many(_count(scene), origin)  # before they are made: nodes may repeat one mesh
         mesh = scene.to_mesh()
@@ -53,6 +60,25 @@ def read_triangles(contents: bytes, kind: str, origin: str) -> tuple[NDArray[np.
     if not np.isfinite(vertices).all():
         raise MeshError(f"mesh {origin} has vertices that are infinite or not a number")
     return vertices, triangles
+
+
+def _refuse_claims(contents: bytes, origin: str) -> None:
+    """Refuse a GLB file whose header declares more than a mesh may have, which may be more than its bytes."""
+    length = int.from_bytes(contents[12:16], "little")
+    if length > MOST_BYTES:
+        raise MeshError(f"mesh {origin} has a header of {length} bytes, more than {MOST_BYTES}: simplify it")
+    tree = json.loads(contents[20 : 20 + length])
+    arrays = tree.get("accessors", [])
+    parts = [part for mesh in tree.get("meshes", []) for part in mesh["primitives"]]
+    used = [{"indices": part.get("indices"), **part.get("attributes", {})} for part in parts]
+    counts = [[abs(arrays[i]["count"]) for i in places.values() if i is not None] for places in used]
+    corners = sum(max(each, default=0) for each in counts)
+    numbers = sum(abs(array["count"]) * _COMPONENTS[array["type"]] for array in arrays)
+    if corners > _MOST_CORNERS or numbers > _MOST_NUMBERS:
+        raise MeshError(
+            f"mesh {origin} declares {corners} corners and {numbers} numbers: simplify it to at most "
+            f"{MAX_TRIANGLES} triangles"
+        )
 
 
 def _count(scene: Any) -> int:

@@ -44,6 +44,11 @@ class UnitMesh:
         """(N, 3) positions of the outermost vertices."""
         return self.vertices[self.outermost].astype(np.float64)
 
+    @property
+    def radius(self) -> float:
+        """Largest distance of a vertex from the origin; 1/2 to √3/2."""
+        return float(np.linalg.norm(self.hull, axis=1).max())
+
 
 @cache
 def unit_mesh(shape: Shape) -> UnitMesh:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import PathLike
-from disk.quantities import fov_problem
+from disk.quantities import FREQUENCY, fov_problem
 from itof.arrays import Phasors
 from itof.capture.capture import ImageShape, read_capture
 from itof.capture.check_picture import refuse_other_picture, write_picture
@@ -20,7 +20,7 @@ from itof.capture.image_check import ImageCheck, check_image, wall_distance_m
 from itof.capture.importing import paths
 from itof.capture.raw_frames import refuse_repeated
 from itof.capture.record import read_import_record
-from itof.capture.sidecar import FASTEST_HZ, MOST_FREQUENCIES, SLOWEST_HZ, CaptureError, Sidecar
+from itof.capture.sidecar import MOST_FREQUENCIES, CaptureError, Sidecar
 from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_files import read_measurement
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
@@ -178,13 +178,12 @@ def _of_frames(
 
 def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
     measured = read_measurement(file)
-    count, fastest_hz = len(measured.frequencies_hz), max(measured.frequencies_hz)
+    count = len(measured.frequencies_hz)
     if count > MOST_FREQUENCIES:
         raise CaptureError(f"{file} has {count} frequencies, and {MOST_FREQUENCIES} are the most")
-    if not SLOWEST_HZ <= fastest_hz <= FASTEST_HZ:
-        given = ", ".join(f"{frequency_hz:g}" for frequency_hz in measured.frequencies_hz)
-        unit = "Hz, not MHz" if fastest_hz < SLOWEST_HZ else f"Hz, at most {FASTEST_HZ:g}"
-        raise CaptureError(f"{file}: frequencies_hz is {given}: write {unit}")
+    for frequency_hz in measured.frequencies_hz:
+        if problem := FREQUENCY.problem(frequency_hz):
+            raise CaptureError(f"{file}: frequencies_hz {problem}")
     record = read_import_record(file)
     if record is not None and record.sidecar.frequencies_hz != measured.frequencies_hz:
         record = None  # somebody has edited it

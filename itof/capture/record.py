@@ -12,11 +12,11 @@ from pydantic.dataclasses import dataclass
 
 from disk import NightError, sha256_of
 from disk.contract import STRICT, checked
+from disk.plain_file import read_plain
 from itof.capture.facts import CaptureFacts
 from itof.capture.sidecar import CaptureError, Sidecar
 
 SCHEMA: Final = 1
-_MOST_BYTES = 2**24  # of a record; one with a thousand captured files has 2**17
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -72,14 +72,9 @@ def read_import_record(measurement: Path) -> ImportRecord | None:
 def _parsed(path: Path) -> ImportRecord | None:
     """The record in a file; None if there is none."""
     try:
-        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            return None
-        text = path.read_bytes()
-    except OSError:
-        return None
-    try:
+        text = read_plain(path)
         record: ImportRecord = checked(TypeAdapter(ImportRecord), text, str(path), CaptureError)
-    except NightError:
+    except (OSError, NightError):
         return None
     return record
 

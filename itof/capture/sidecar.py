@@ -10,14 +10,22 @@ from pydantic.dataclasses import dataclass
 
 from disk import NightError
 from disk.contract import STRICT
-from disk.quantities import FieldOfView
+from disk.quantities import (
+    ConverterNumber,
+    Distortion,
+    ExposureTime,
+    FieldOfView,
+    FocalLength,
+    Frequency,
+    PhaseDeviation,
+    PixelPlace,
+    Radians,
+)
 from itof.capture.phase_steps import phasor_weights
 from itof.wall.wall_fit import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
-SLOWEST_HZ, FASTEST_HZ = 1e4, 1e10  # no camera modulates below or above
 MOST_FREQUENCIES = 16
-_LARGEST_ANGLE = 4 * np.pi  # of a phase step in radians; 90, 180 and 270 are degrees
 _FEW_BITS = 8
 TOO_COARSE: Final = (
     "8-bit numbers are too coarse for hidden light, and often a picture for people: give raw frames of at "
@@ -28,14 +36,8 @@ Layout = Literal["taps", "differences", "phasors", "amplitude-phase", "amplitude
 Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 Axis = Annotated[str, Field(max_length=60, pattern=r"^[a-z]+(\*[a-z]+)*$")]
 Names = Annotated[tuple[Name, ...], Field(max_length=256)]
-Angles = Annotated[tuple[float, ...], Field(max_length=64)]
+Angles = Annotated[tuple[Radians, ...], Field(max_length=64)]
 Count = Annotated[int, Field(ge=1, le=64)]
-Number = Annotated[float, Field(gt=0, le=1e12)]
-Frequency = Annotated[float, Field(gt=0, le=FASTEST_HZ)]
-Seconds = Annotated[float, Field(ge=1e-12, le=1e6)]
-Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
-Deviation = Annotated[float, Field(ge=1e-5, le=10)]
-Distortion = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 
 class CaptureError(NightError):
@@ -60,10 +62,10 @@ class Lens:
     Source: D. C. Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32, 1966.
     """
 
-    fx: Annotated[float, Field(gt=0, le=1e6)]
-    fy: Annotated[float, Field(gt=0, le=1e6)]
-    cx: Pixels
-    cy: Pixels
+    fx: FocalLength
+    fy: FocalLength
+    cx: PixelPlace
+    cy: PixelPlace
     k1: Distortion = 0.0
     k2: Distortion = 0.0
     k3: Distortion = 0.0
@@ -133,17 +135,17 @@ class Sidecar:
     taps_rad: Angles = ()
     phase_sign: Literal[1, -1] = 1
     phase_offsets_rad: Angles = ()
-    phase_offsets_std_rad: Annotated[tuple[Deviation, ...], Field(max_length=MOST_FREQUENCIES)] = ()
+    phase_offsets_std_rad: Annotated[tuple[PhaseDeviation, ...], Field(max_length=MOST_FREQUENCIES)] = ()
     phase_unit: Literal["rad", "deg", "dn"] = "rad"
-    phase_period_dn: Annotated[float, Field(ge=1e-6, le=1e12)] | None = None
+    phase_period_dn: ConverterNumber | None = None
     depth_unit: Literal["m", "mm"] = "m"
     depth_along: Literal["ray", "axis"] = "ray"
     dark_arrays: Names = ()
     dark_axes: Annotated[tuple[Axis, ...], Field(max_length=6)] = ()
     dark_file: Name | None = None
-    exposures_s: tuple[Seconds, ...] = ()
+    exposures_s: tuple[ExposureTime, ...] = ()
     exposure_array: Name | None = None
-    saturation_dn: Number | None = None
+    saturation_dn: ConverterNumber | None = None
     bits: Annotated[int, Field(ge=1, le=32)] | None = None
     alternating_row_sign: bool = False
     rows_from_bottom: bool = False
@@ -220,20 +222,11 @@ def _refuse_axes(sidecar: Sidecar) -> None:
 
 def _refuse_units(sidecar: Sidecar) -> None:
     """Numbers that must be in another unit."""
-    if max(sidecar.frequencies_hz) < SLOWEST_HZ:
-        raise ValueError(
-            f"frequencies_hz is {', '.join(f'{f:g}' for f in sidecar.frequencies_hz)}: give Hz, not MHz, "
-            f"like {sidecar.frequencies_hz[0]:g}e6"
-        )
     if len(set(sidecar.frequencies_hz)) < len(sidecar.frequencies_hz):
         raise ValueError("frequencies_hz names a frequency twice")
     for key in ("phase_offsets_rad", "phase_offsets_std_rad"):
         if len(getattr(sidecar, key)) not in (0, len(sidecar.frequencies_hz)):
             raise ValueError(f"{key} must have {len(sidecar.frequencies_hz)} values, one for each frequency")
-    for key in ("steps_rad", "taps_rad", "phase_offsets_rad"):
-        largest = max((abs(value) for value in getattr(sidecar, key)), default=0.0)
-        if largest > _LARGEST_ANGLE:
-            raise ValueError(f"{key} reaches {largest:g}: give radians, not degrees")
 
 
 def _refuse_pairs(sidecar: Sidecar) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from disk.machine_memory import memory_shortage
+from disk.quantities import BIN_WIDTH
 from itof.exr.header import ExrStructure, ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
 from itof.measurement import MeasurementMatrix
@@ -52,8 +53,10 @@ class TransientLayout:
     start_opl_m: float
 
     def __post_init__(self) -> None:
-        if min(self.width, self.height, self.bin_count) < 1 or not 0 < self.bin_width_m < math.inf:
+        if min(self.width, self.height, self.bin_count) < 1:
             raise ValueError(f"a transient has at least one pixel and one bin, got {self}")
+        if problem := BIN_WIDTH.problem(self.bin_width_m):
+            raise ValueError(f"bin_width_m {problem}")
         if not math.isfinite(self.start_opl_m):
             raise ValueError(f"the time axis of a transient begins at a finite length, got {self}")
         if max(abs(self.start_opl_m), self.bin_count * self.bin_width_m) > _MOST_M:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from disk.quantities import TRANSMITTED
 from itof.sensor.settings import SensorSettings
 
 _CONTRAST, _RISE_TIME, _DUTY = 0.05, 0.2, 0.01  # ours: no data sheet that we know says how cameras differ
@@ -19,7 +20,8 @@ def random_camera(settings: SensorSettings, rng: np.random.Generator) -> SensorS
     that the lens scatters and of the wiggling that the calibration leaves.
     """
     contrast = tuple(
-        (f, min(value * rng.uniform(1 - _CONTRAST, 1 + _CONTRAST), 1.0)) for f, value in settings.contrast
+        (f, min(max(value * rng.uniform(1 - _CONTRAST, 1 + _CONTRAST), TRANSMITTED.least), 1.0))
+        for f, value in settings.contrast
     )
     pattern_seed = int(rng.integers(2**31))
     rise_time_s = settings.rise_time_s * rng.uniform(1 - _RISE_TIME, 1 + _RISE_TIME)

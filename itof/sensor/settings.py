@@ -8,16 +8,36 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from disk.quantities import (
+    ConverterOffset,
+    CosinePower,
+    DutyCycle,
+    ElectronRate,
+    Electrons,
+    ElectronsPerNumber,
+    FieldOfView,
+    FNumber,
+    Fraction,
+    Frequency,
+    FullWell,
+    IntegrationTime,
+    Irradiance,
+    LampOffset,
+    PhaseSpread,
+    PixelPitch,
+    Power,
+    RiseTime,
+    Seed,
+    Speed,
+    SpreadOverWidth,
+    TapMismatch,
+    Transmitted,
+    Wavelength,
+    WeakDistortion,
+)
 from itof.radial_distortion import radial_factor, turning_square
 
 Waveform = Literal["sinusoidal", "square"]
-Positive = Annotated[float, Field(gt=0, le=1e12)]
-NotNegative = Annotated[float, Field(ge=0, le=1e12)]
-Part = Annotated[float, Field(ge=0, le=1)]
-PositivePart = Annotated[float, Field(gt=0, le=1)]
-Offset = Annotated[float, Field(ge=-0.5, le=0.5)]
-Strength = Annotated[float, Field(ge=-1, le=1)]
-Count = Annotated[int, Field(ge=1)]
 Pixels = Annotated[int, Field(ge=1, le=2**14)]
 MOST_FRAMES = 1_000_000_000
 
@@ -30,7 +50,7 @@ def _ascending(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, flo
 
 
 ContrastTable = Annotated[
-    tuple[tuple[Positive, PositivePart], ...], Field(min_length=1), AfterValidator(_ascending)
+    tuple[tuple[Frequency, Transmitted], ...], Field(min_length=1), AfterValidator(_ascending)
 ]
 
 
@@ -88,44 +108,44 @@ class SensorSettings:
 
     width: Pixels = 640
     height: Pixels = 480
-    horizontal_fov_deg: Annotated[float, Field(ge=1, le=170)] = 60.0
-    emitter_power_w: Positive = 1.0
-    wavelength_nm: Annotated[float, Field(ge=300, le=1100)] = 850.0
-    ambient_w_m2: NotNegative = 0.0
-    f_number: Positive = 1.2
-    lens_transmission: PositivePart = 1.0
-    vignetting: NotNegative = 0.0
+    horizontal_fov_deg: FieldOfView = 60.0
+    emitter_power_w: Power = 1.0
+    wavelength_nm: Wavelength = 850.0
+    ambient_w_m2: Irradiance = 0.0
+    f_number: FNumber = 1.2
+    lens_transmission: Transmitted = 1.0
+    vignetting: CosinePower = 0.0
     scattering: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    scattering_width: Annotated[float, Field(gt=0, le=10)] = 0.2
-    distortion: tuple[Strength, Strength] = (0.0, 0.0)
-    emitter_offset_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
-    motion_m_s: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    pixel_pitch_um: Positive = 10.0
-    fill_factor: PositivePart = 1.0
-    quantum_efficiency: PositivePart = 1.0
-    crosstalk: Part = 0.0
-    full_well_e: Positive | None = None
-    read_noise_e: NotNegative = 0.0
+    scattering_width: SpreadOverWidth = 0.2
+    distortion: tuple[WeakDistortion, WeakDistortion] = (0.0, 0.0)
+    emitter_offset_m: tuple[LampOffset, LampOffset, LampOffset] = (0.0, 0.0, 0.0)
+    motion_m_s: Speed = 0.0
+    pixel_pitch_um: PixelPitch = 10.0
+    fill_factor: Transmitted = 1.0
+    quantum_efficiency: Transmitted = 1.0
+    crosstalk: Fraction = 0.0
+    full_well_e: FullWell | None = None
+    read_noise_e: Electrons = 0.0
     shot_noise: bool = False
-    dark_current_e_s: NotNegative = 0.0
+    dark_current_e_s: ElectronRate = 0.0
     gain_spread: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    offset_spread_e: NotNegative = 0.0
+    offset_spread_e: Electrons = 0.0
     dead_pixels: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    pattern_seed: Annotated[int, Field(ge=0)] = 0
+    pattern_seed: Seed = 0
     contrast: ContrastTable = ((20e6, 1.0),)
     emitter_waveform: Waveform = "sinusoidal"
     reference_waveform: Waveform = "sinusoidal"
-    emitter_duty: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    rise_time_s: Annotated[float, Field(ge=0, le=1e-6)] = 0.0
+    emitter_duty: DutyCycle = 0.5
+    rise_time_s: RiseTime = 0.0
     highest_harmonic: Annotated[int, Field(ge=1, le=99)] = 9
-    wiggling_left: Part = 1.0
+    wiggling_left: Fraction = 1.0
     phase_steps: Annotated[int, Field(ge=3, le=64)] = 4
-    tap_mismatch: Annotated[float, Field(gt=-1, lt=1)] = 0.0
-    phase_drift_rad: NotNegative = 0.0
+    tap_mismatch: TapMismatch = 0.0
+    phase_drift_rad: PhaseSpread = 0.0
     adc_bits: Annotated[int, Field(ge=1, le=24)] | None = None
-    adc_e_per_dn: Positive | None = None
-    adc_offset_dn: NotNegative = 0.0
-    integration_s: Annotated[float, Field(gt=0, le=1e3)] = 1e-3
+    adc_e_per_dn: ElectronsPerNumber | None = None
+    adc_offset_dn: ConverterOffset = 0.0
+    integration_s: IntegrationTime = 1e-3
     frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
 
     def __post_init__(self) -> None:

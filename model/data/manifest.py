@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from disk import write_text
 from disk.contract import STRICT
-from disk.plain_file import read_plain
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from disk.quantities import FieldOfView, WholeCount
 from model.data.rows import RowLayout
 from scenegen import SceneEntry
@@ -21,8 +21,6 @@ from scenegen.preset import Preset
 SHARD_SCHEMA: Final = 3
 MANIFEST_FILE = "manifest.json"
 RECORD_FILE = "piece.json"
-_MOST_BYTES: Final = 2**30  # a million scenes take 300 MB
-_MOST_PIECE_BYTES: Final = 2**28
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -122,7 +120,7 @@ def read_manifest(folder: Path) -> ShardManifest | None:
     """Manifest of a shard folder; None if it is missing or unreadable."""
     file = folder / MANIFEST_FILE
     try:
-        return TypeAdapter(ShardManifest).validate_json(read_plain(file, _MOST_BYTES))
+        return TypeAdapter(ShardManifest).validate_json(read_plain(file, MOST_LIST_BYTES))
     except (OSError, ValidationError):
         return None
 
@@ -137,6 +135,6 @@ def read_piece_record(folder: Path) -> PieceRecord | None:
     """Record of a piece; None if it is missing or unreadable. Its arrays are not looked at."""
     file = folder / RECORD_FILE
     try:
-        return TypeAdapter(PieceRecord).validate_json(read_plain(file, _MOST_PIECE_BYTES))
+        return TypeAdapter(PieceRecord).validate_json(read_plain(file, MOST_LIST_BYTES))
     except (OSError, ValidationError):
         return None

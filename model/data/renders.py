@@ -18,6 +18,7 @@ from itof import (
     megahertz,
     phase,
     read_image,
+    unambiguous_range_m,
 )
 from model.settings.run import GroundTruth
 from scenegen import (
@@ -31,6 +32,7 @@ from scenegen import (
     read_record,
     recorded_file,
 )
+from scenegen.depth_range import turns_of_first_phase
 from scenegen.recorded_files import changed_file
 
 TRUTH_FILES: dict[GroundTruth, str] = {"geometry": GROUND_TRUTH_FILE, "simulated": MIRRORED_TRANSIENT_FILE}
@@ -65,8 +67,15 @@ def source_files(dataset: Dataset, ground_truth: GroundTruth) -> dict[str, Path]
 
     Raises
     ------
-    ShardError : a scene is not rendered.
+    ShardError : a scene is not rendered, or the phase of the simulated ground truth may wrap.
     """
+    if ground_truth == "simulated" and turns_of_first_phase(dataset.preset) > 1:
+        first_hz = dataset.preset.itof.frequencies_hz[0]
+        raise ShardError(
+            f"{dataset.root} has no simulated ground truth: its depth is that of the phase at "
+            f"{megahertz(first_hz)}, which repeats every {float(unambiguous_range_m(first_hz)):.4g} m, and "
+            "mirrored hidden objects can be farther from the camera: take run.ground_truth=geometry"
+        )
     scenes = dataset.ids()
     files = {
         f"renders/{scene}/{name}": dataset.render_folder(scene) / name

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from disk import whole_file, write_text
-from disk.own_files import MOST_RECORD_BYTES, hashes_of
-from disk.plain_file import read_plain
+from disk.own_files import hashes_of
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from model.judging.calibration import Calibration
 from model.judging.groups import Group
 from model.judging.results import PAPER, Report, scene_numbers
@@ -37,7 +37,7 @@ def files_of_report(folder: Path) -> dict[str, str | None]:
     A path that ends in a slash is that of a folder, which may be empty.
     """
     try:
-        content = json.loads(read_plain(folder / METRICS_FILE, MOST_RECORD_BYTES))
+        content = json.loads(read_plain(folder / METRICS_FILE, MOST_LIST_BYTES))
         if content["schema_version"] != REPORT_SCHEMA:
             return {}
         known: dict[str, str | None]

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from disk import NightError
 from disk.contract import STRICT
-from disk.quantities import Positive
+from disk.quantities import Frequency, Positive
 from itof import SubpixelWeights, megahertz, network_channels, residual_channels, weighted_reference
 from itof.frequency_images import Slopes
 from itof.wall.expected_wall import ExpectedWall
@@ -72,7 +72,7 @@ class InputSpec:
     """
 
     channels: Channels
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1)]
     amplitude_scale: Positive
     residual_scale: tuple[Positive, ...]
     subpixel_weights: Annotated[SubpixelWeights, Field(exclude_if=lambda value: value == "uniform")] = (

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from disk import NightError, PathLike, whole_folder, write_text
-from disk.own_files import MOST_RECORD_BYTES, hashes_of, refuse_other_files
-from disk.plain_file import read_plain
+from disk.own_files import hashes_of, refuse_other_files
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from disk.quantities import fov_problem
 from itof import DepthMap
 from itof.files.measurement_files import Measurement, MeasurementError
@@ -280,7 +280,7 @@ def _refuse_other_contents(out: Path) -> None:
 def files_of_prediction(folder: Path) -> dict[str, str | None]:
     """Files of an earlier prediction, with SHA-256 where it is known; empty if there is no prediction."""
     try:
-        content = json.loads(read_plain(folder / RECORD, MOST_RECORD_BYTES))
+        content = json.loads(read_plain(folder / RECORD, MOST_LIST_BYTES))
         if content["schema_version"] not in _KNOWN_SCHEMAS:
             return {}
         known: dict[str, str | None] = {

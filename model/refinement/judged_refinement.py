@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from disk import PathLike, is_partial, whole_file, write_text
 from disk.inner_paths import inside
-from disk.plain_file import read_plain
+from disk.plain_file import read_text
 from model.data.shards import open_shards
 from model.judging.refusals import (
     EvaluationError,
@@ -27,7 +27,7 @@ from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport
 from model.refinement.refining import Family
 from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
-from model.refinement.work import MOST_RESULT_BYTES, SCENES_FOLDER, Job, Recipe, read_result, worked
+from model.refinement.work import SCENES_FOLDER, Job, Recipe, read_result, worked
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
@@ -140,7 +140,7 @@ def _prepare(out: Path, recipe: Recipe) -> None:
     file = out / RECIPE_FILE
     if file.exists():
         try:
-            earlier = TypeAdapter(Recipe).validate_json(read_plain(file, MOST_RESULT_BYTES))
+            earlier = TypeAdapter(Recipe).validate_json(read_text(file))
         except (OSError, ValueError):
             earlier = None
         if earlier is None:

@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from disk import whole_file, write_text
 from disk.contract import STRICT
-from disk.plain_file import read_plain
+from disk.plain_file import read_text
 from disk.quantities import Vector
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
@@ -39,7 +39,6 @@ from scenegen.pose import wall_geometry
 from scenegen.scene import Scene
 
 SCENES_FOLDER = "scenes"
-MOST_RESULT_BYTES = 2**20
 
 
 @checked_dataclass(frozen=True, config=STRICT)
@@ -232,7 +231,7 @@ def read_result(out: Path, scene: str) -> RefinedScene | None:
     """The result of a scene that an earlier command has finished; None if there is none, or it is damaged."""
     folder = out / SCENES_FOLDER
     try:
-        content = read_plain(folder / f"{scene}.json", MOST_RESULT_BYTES)
+        content = read_text(folder / f"{scene}.json")
         result = TypeAdapter(RefinedScene).validate_json(content)
         DepthMap.read(folder / f"{scene}.exr")
     except (OSError, ValueError):

@@ -8,10 +8,7 @@ can write its digest too.
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 from typing import Final, NamedTuple
-
-from disk.plain_file import opened_plain
 
 DIGITS: Final = 64
 ZEROS: Final = "0" * DIGITS
@@ -56,14 +53,6 @@ def read_label(content: bytes) -> Label | None:
         return None
     run_id = content[start:end].decode("ascii", errors="replace")
     return Label(run_id, has_right_checksum(content, _BEFORE_DIGEST))
-
-
-def read_at_most(file: Path, most_bytes: int) -> bytes:
-    """The bytes of a plain file; `ValueError` if there are more than `most_bytes`, `OSError` if it fails."""
-    with opened_plain(file) as (stream, size):
-        if size > most_bytes:
-            raise ValueError(f"it has {size} bytes, at most {most_bytes} are possible")
-        return stream.read(most_bytes)
 
 
 def _place(content: bytes, mark: str) -> int:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 from disk import PathLike, whole_folder
-from model.run_folder.checksums import read_at_most
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import save_weights, trained_network
-
-_MOST_BYTES: Final = 2**28
 
 
 def compact(run: PathLike, out: PathLike) -> Path:
@@ -36,7 +33,7 @@ def compact(run: PathLike, out: PathLike) -> Path:
     if large is not None:
         raise RunError(f"{folder} has weights that are too large for 16 bits ({large}): publish it whole")
     names = [CONFIG_FILE, HISTORY_FILE] if read_history(folder) else [CONFIG_FILE]  # both were checked
-    files = {name: read_at_most(folder / name, _MOST_BYTES) for name in names}
+    files = {name: read_plain(folder / name, MOST_LIST_BYTES) for name in names}
     with whole_folder(out) as partial:
         for name, content in files.items():
             (partial / name).write_bytes(content)

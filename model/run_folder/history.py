@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Final
 
 from disk import whole_file
-from model.run_folder.checksums import read_at_most
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from model.run_folder.run_config import RunError
 
 HISTORY_FILE: Final = "history.csv"
 CHECK: Final = "crc32"
 _END: Final = b"\r\n"
-_MOST_BYTES: Final = 2**28
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def read_history(run: Path) -> dict[str, list[float]]:
     """
     file = run / HISTORY_FILE
     try:
-        return _columns(read_at_most(file, _MOST_BYTES))
+        return _columns(read_plain(file, MOST_LIST_BYTES))
     except FileNotFoundError:
         return {}
     except OSError as error:

@@ -16,14 +16,15 @@ from pydantic.dataclasses import dataclass
 
 from disk import NightError, PathLike, whole_file
 from disk.contract import STRICT, checked
-from disk.quantities import FieldOfView, Positive
+from disk.plain_file import read_plain
+from disk.quantities import FieldOfView, Frequency, Positive
 from itof.wall.wall_view import WallView
 from model.network.bounce_images import BounceImages
 from model.network.channels import InputSpec
 from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet
-from model.run_folder.checksums import ZEROS, has_right_checksum, read_at_most, with_checksum
+from model.run_folder.checksums import ZEROS, has_right_checksum, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings.fresh import FreshScenes
 from model.settings.target import ComponentsTarget, MaskAndDepthTarget
@@ -33,7 +34,6 @@ RUN_SCHEMA: Final = 4
 CONFIG_FILE: Final = "run.json"
 _MARK: Final = ',\n  "sha256": "'
 _END: Final = '"\n}\n'
-_MOST_BYTES: Final = 2**20
 _REPAIR: Final = "take the file from a copy of the run, or train again"
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
 Metres = Annotated[float, Field(gt=0, le=1000)]
@@ -68,7 +68,8 @@ class RunConfig:
     ----------
     settings : settings of the training.
     inputs : input channels and their constants, which were fitted to the training scenes.
-    output_frequency_hz : modulation frequency of the predicted phasor, Hz; the first of the dataset.
+    output_frequency_hz : modulation frequency of the predicted phasor, Hz; the first of the dataset, or a
+        whole part of it where its phase does not represent every depth.
     geometry : camera and relay wall, from which the direct return is computed.
     image_width, image_height : size of the training images, pixels.
     preset_sha256 : hash of the dataset's resolved preset.
@@ -92,7 +93,7 @@ class RunConfig:
 
     settings: TrainSettings
     inputs: InputSpec
-    output_frequency_hz: Positive
+    output_frequency_hz: Frequency
     geometry: WallView
     image_width: Pixels
     image_height: Pixels
@@ -216,9 +217,9 @@ def read_config(folder: Path) -> RunConfig:
     if not file.is_file():
         raise RunError(f"{folder} is no training run (it has no run.json): train one with night-train")
     try:
-        content = read_at_most(file, _MOST_BYTES)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{file} cannot be read: {error}") from None
+        content = read_plain(file)
+    except OSError as error:
+        raise RunError(f"{file} cannot be read: {error.strerror}") from None
     text = _without_checksum(content)
     if text is None and _MARK.encode() in content:
         raise RunError(f"{file} is damaged or was edited (wrong checksum): {_REPAIR}")

@@ -7,6 +7,7 @@ several entries, the library would write them in random order.)
 from __future__ import annotations
 
 from collections.abc import Mapping
+from errno import EFBIG
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,8 +16,9 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from disk import whole_file
+from disk.plain_file import read_plain
 from model.network.unet import UNet, least_weights
-from model.run_folder.checksums import label_text, labelled, read_at_most, read_label
+from model.run_folder.checksums import label_text, labelled, read_label
 from model.run_folder.run_config import RunConfig, RunError
 
 WEIGHTS_FILE: Final = "best.safetensors"
@@ -60,13 +62,13 @@ def trained_network(folder: Path, config: RunConfig) -> tuple[UNet, bytes]:
         if most >= least:  # or a network that run.json alone calls large would take all memory
             network = config.network()
             most = sum(tensor.nbytes for tensor in network.state_dict().values()) + _MOST_HEADER
-        content = read_at_most(file, most)
+        content = read_plain(file, most)
     except OSError as error:
+        if error.errno == EFBIG:
+            raise RunError(
+                f"{file} holds weights of another architecture than run.json describes: {error.strerror}"
+            ) from None
         raise RunError(f"{file} cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise RunError(
-            f"{file} holds weights of another architecture than run.json describes: {error}"
-        ) from None
     refuse_other_label(content, file, config, _AGAIN)
     try:
         weights = load(content)

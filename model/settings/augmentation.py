@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import DOCUMENTED
-from disk.quantities import Fraction, NotNegative
+from disk.quantities import Fraction, HalfTurn, NotNegative
 from itof.sensor.settings import SensorSettings
 
 
@@ -18,7 +18,7 @@ class PaperChanges:
 
     flip_columns: bool = False
     """Flip half of the images left to right."""
-    rotation_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    rotation_deg: HalfTurn = 0.0
     """Turn images at random by up to so many degrees."""
     translation: Fraction = 0.0
     """Shift images at random by up to this fraction of their size."""

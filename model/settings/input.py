@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import DOCUMENTED
-from disk.quantities import Positive
+from disk.quantities import Frequency
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
 AmplitudeDivisor = Literal["mean", "maximum"]
@@ -74,7 +74,7 @@ class InputSettings:
         Field(discriminator="kind"),
     ] = ResidualChannels()
     """Set of input channels."""
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1)] | None = None
     """Modulation frequencies that the network sees; by default all of the dataset's."""
 
     def __post_init__(self) -> None:

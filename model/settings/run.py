@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import DOCUMENTED
-from disk.quantities import NotNegative, WholeCount
+from disk.quantities import Minutes, NotNegative, RelativeError, Seed, WholeCount
 
 GroundTruth = Literal["geometry", "simulated"]
 DeviceName = Literal["auto", "cpu", "cuda"]
@@ -29,7 +28,7 @@ class RunSettings:
     """Train on the first so many training scenes only, for learning curves; by default on all."""
     epoch_scenes: WholeCount = 8192
     """With --fresh: scenes between two validations."""
-    fresh_error: Annotated[float, Field(gt=0, le=1)] = 0.04
+    fresh_error: RelativeError = 0.04
     """With --fresh: error of the hidden light of the scenes, relative to it."""
     workers: WholeCount = 1
     """With --fresh: processes that render scenes, of each training process."""
@@ -38,13 +37,13 @@ class RunSettings:
     as in the paper; simulated needs transients."""
     average_flip: bool = True
     """Predict every image and its mirror image top to bottom, and average both outputs."""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Seed = 0
     """Seed of the weights, of the order of scenes and of the augmentation."""
     precision: Precision = "auto"
     """Number type of the convolutions; auto: bfloat16 where the processor computes in it."""
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU if there is one."""
-    checkpoint_minutes: NotNegative = 10.0
+    checkpoint_minutes: Minutes = 10.0
     """Minutes between two checkpoints; 0: one after every batch."""
     progress: bool = True
     """Show the progress on stderr: a bar in a terminal, a line now and then elsewhere."""

@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import DOCUMENTED
-from disk.quantities import NotNegative, Positive
+from disk.quantities import Distance, NotNegative, Positive
 
 Target = Literal["components", "depth", "mask+depth"]
 LossName = Literal["mae", "mse", "mae+iou", "mse+iou", "mae+lovasz"]
@@ -40,7 +40,7 @@ class ComponentsTarget:
     released code, the training ends at no object (notebook/results.md)."""
     mask_threshold: Positive = 0.5
     """Amplitude of the output from which on a pixel shows the object."""
-    mask_depth_m: NotNegative = 0.0
+    mask_depth_m: Distance = 0.0
     """With mask_from depth: radial depth in metres above which a pixel shows the object."""
     dead_zone: NotNegative = 0.05
     """Components of the output below this become 0 before mask and depth are taken."""
@@ -62,7 +62,7 @@ class DepthTarget:
     """As for the target components."""
     balance: Balance = "image"
     """As for the target components."""
-    mask_depth_m: NotNegative = 0.0
+    mask_depth_m: Distance = 0.0
     """Radial depth in metres above which a pixel shows the object."""
     dead_zone: NotNegative = 0.05
     """Depths below so many metres become 0."""

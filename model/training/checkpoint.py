@@ -16,7 +16,8 @@ from typing import Any, Final
 import torch
 
 from disk import whole_file
-from model.run_folder.checksums import label_text, labelled, read_at_most
+from disk.plain_file import read_plain
+from model.run_folder.checksums import label_text, labelled
 from model.run_folder.run_config import RUN_SCHEMA, RunConfig, RunError
 from model.run_folder.weights import least_bytes, refuse_other_label
 
@@ -78,9 +79,9 @@ def load_checkpoint(folder: Path, config: RunConfig, weights_bytes: int) -> dict
     if not file.is_file():
         return None
     try:
-        content = read_at_most(file, _COPIES * weights_bytes + _MOST_OTHER)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{file} cannot be read ({error}): {_AGAIN}") from None
+        content = read_plain(file, _COPIES * weights_bytes + _MOST_OTHER)
+    except OSError as error:
+        raise RunError(f"{file} cannot be read ({error.strerror}): {_AGAIN}") from None
     refuse_other_label(content, file, config, _AGAIN)
     state = _unpacked(content, file)
     schema = state.get("schema_version") if isinstance(state, dict) else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,25 +37,24 @@ class Start:
     weights: dict[str, Tensor]
     origin: StartingWeights
 
-    def inputs(self, dataset: Dataset, frequencies_hz: Sequence[float]) -> InputSpec:
+    def inputs(self, dataset: Dataset, output_hz: float) -> InputSpec:
         """The input channels with the constants of the trained network, whose weights expect them.
 
         Parameters
         ----------
-        frequencies_hz : modulation frequencies of `dataset`, Hz; the output of the network must be at the
-            first of them.
+        output_hz : frequency of the phasors that a training on `dataset` predicts, Hz.
 
         Raises
         ------
         RunError : the network predicts at another frequency.
         ChannelError : the dataset lacks a frequency of the network.
         """
-        self.config.inputs.places(frequencies_hz)
-        ours, first = self.config.output_frequency_hz, frequencies_hz[0]
-        if ours != first:
+        self.config.inputs.places(dataset.preset.itof.frequencies_hz)
+        ours = self.config.output_frequency_hz
+        if ours != output_hz:
             raise RunError(
-                f"{self.origin.run} predicts at {megahertz(ours)}, and the first frequency of "
-                f"{dataset.root} is {megahertz(first)}: render the dataset at the frequencies of that run"
+                f"{self.origin.run} predicts at {megahertz(ours)}, and a training on {dataset.root} at "
+                f"{megahertz(output_hz)}: render the dataset at the frequencies of that run"
             )
         return self.config.inputs
 

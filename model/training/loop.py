@@ -47,6 +47,7 @@ from model.training.refusals import (
     TrainingError,
     naming_disk,
     naming_memory,
+    output_frequency_hz,
     refuse_images_of_many_corners,
     refuse_missing_scenes,
     refuse_other_corner,
@@ -133,6 +134,8 @@ def train(
         refuse_images_of_many_corners(dataset, settings)
         start = read_start(Path(start_from), settings) if start_from is not None else None
         stream = FreshScenes.of(fresh, meshes or {}) if fresh else None
+        if not resume:
+            output_frequency_hz(dataset, settings, stream)  # refuses, before the shards are made
         with only_training(out, processes, check):
             return _train(
                 dataset, out, settings, processes, resume, start, stream, meshes or {}, memory_bytes
@@ -214,11 +217,12 @@ def _configure(
 ) -> RunConfig:
     """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
     manifest, rows, chosen = shards.manifest, rows_of(shards, "train", settings), settings.input
+    output_hz = before.output_frequency_hz if before else output_frequency_hz(dataset, settings, fresh)
     try:
         if before:
             inputs = before.inputs
         elif start:
-            inputs = start.inputs(dataset, manifest.frequencies_hz)
+            inputs = start.inputs(dataset, output_hz)
             if inputs.shows_wall:
                 if settings.run.progress:
                     _log.info("fitting the wall of the training scenes")
@@ -245,7 +249,7 @@ def _configure(
     config = RunConfig(
         settings=settings,
         inputs=inputs,
-        output_frequency_hz=manifest.frequencies_hz[0],
+        output_frequency_hz=output_hz,
         geometry=wall_view(dataset),
         image_width=manifest.width,
         image_height=manifest.height,

@@ -9,17 +9,19 @@ from pathlib import Path
 from typing import Final
 
 from disk import NightError, is_partial
-from itof import megahertz
+from itof import megahertz, unambiguous_range_m
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
 from model.device import plain_memory_errors
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
 from model.settings.fresh import FreshScenes
+from model.settings.target import ComponentsTarget
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
 from scenegen import Dataset, Preset
+from scenegen.depth_range import largest_mirrored_depth_m, turns_of_first_phase
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
@@ -63,6 +65,29 @@ def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> 
             f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and bounce_images are "
             "for one corner: take --channels residual+wall, or --set input.channels.bounce_images=false"
         )
+
+
+def output_frequency_hz(dataset: Dataset, settings: TrainSettings, fresh: FreshScenes | None) -> float:
+    """Frequency of the predicted phasors: the first of the dataset, or a whole part of it, Hz.
+
+    A part is needed where the phase at the first one turns more than once over the depths of the scenes.
+
+    Raises
+    ------
+    TrainingError : then, if the target is the phasor at the first frequency itself.
+    """
+    presets = [dataset.preset, *([fresh.preset] if fresh else [])]
+    first_hz, turns = dataset.preset.itof.frequencies_hz[0], max(map(turns_of_first_phase, presets))
+    if turns == 1:
+        return first_hz
+    if isinstance(settings.target, ComponentsTarget):
+        raise TrainingError(
+            f"target.kind components is the phasor at the first frequency of {dataset.root}, "
+            f"{megahertz(first_hz)}, whose phase represents depths below "
+            f"{float(unambiguous_range_m(first_hz)):.4g} m, and mirrored hidden objects can be up to "
+            f"{max(map(largest_mirrored_depth_m, presets)):.4g} m from the camera: take mask+depth or depth"
+        )
+    return float(first_hz // turns)
 
 
 def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings) -> None:

@@ -6,14 +6,16 @@ import inspect
 import os
 import shlex
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from disk import PathLike
+from disk.plain_file import read_text
+from disk.quantities import JOB_COUNT, JOB_MEMORY
 from render.farm.dask_settings import NO_DASHBOARD, ClusterError, own_certificates
 from render.farm.submissions import Submissions, watched_cluster, watched_job
 
@@ -141,9 +143,11 @@ def _read_cluster_file(file: PathLike) -> tuple[str, dict[str, Any]]:
     import yaml
 
     try:
-        content = yaml.safe_load(Path(file).read_text(encoding="utf-8"))
+        content = yaml.safe_load(read_text(Path(file)))
     except OSError as error:
         raise ClusterError(f"{file} cannot be read: {error.strerror}") from None
+    except UnicodeError as error:
+        raise ClusterError(f"{file} cannot be read: {error}") from None
     except Exception as error:  # of any class: PyYAML reads dates, numbers and truth values without care
         raise ClusterError(f"{file} is not YAML: {' '.join(str(error).split())}") from None
     sections = content.get("jobqueue") if isinstance(content, dict) else None
@@ -164,10 +168,25 @@ def _read_cluster_file(file: PathLike) -> tuple[str, dict[str, Any]]:
     missing = [key for key in ("cores", "memory") if options.get(key) is None]
     if missing:
         raise ClusterError(f"{file}: jobqueue.{system} needs {' and '.join(missing)} (of one job)")
+    for key, problem in _impossible_numbers(options):
+        raise ClusterError(f"{file}: jobqueue.{system}.{key} {problem}")
     named = {str(key).replace("-", "_"): value for key, value in options.items()}
     if "name" in named:  # the classes of dask-jobqueue call this key job_name
         named["job_name"] = named.pop("name")
     return system, named
+
+
+def _impossible_numbers(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Keys whose numbers are out of bounds, and why; what is no number is for dask-jobqueue to say."""
+    from dask.utils import parse_bytes
+
+    for key in ("cores", "processes"):
+        value = options.get(key)
+        if isinstance(value, int | float) and (problem := JOB_COUNT.problem(value)):
+            yield key, problem
+    with suppress(ValueError, ArithmeticError, AttributeError, TypeError):
+        if problem := JOB_MEMORY.problem(parse_bytes(options["memory"])):
+            yield "memory", problem
 
 
 def _known_options(cls: type) -> set[str]:

@@ -14,7 +14,8 @@ from typing import Any
 
 from disk import NightError
 from disk.byte_size import size
-from itof import DEPTH_CHANNEL, MASK_CHANNEL, megahertz, unambiguous_range_m
+from disk.plain_file import read_plain
+from itof import DEPTH_CHANNEL, MASK_CHANNEL, combined_range_m, megahertz
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
 
@@ -50,7 +51,10 @@ def read_card(dataset: Dataset) -> EarlierCard:
     file = dataset.root / CARD_FILE
     if not file.exists():
         return EarlierCard(is_ours=True, licence=None)
-    mark = _MARK.search(file.read_text(encoding="utf-8", errors="replace")) if file.is_file() else None
+    try:
+        mark = _MARK.search(read_plain(file).decode(errors="replace"))
+    except OSError:
+        mark = None
     try:
         licence = json.loads(mark["licence"]) if mark else None
     except (ValueError, RecursionError):
@@ -153,7 +157,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
         if rendering.hidden_error_max is not None:
             error += f", at most {rendering.hidden_error_max:.2%}"
     hertz = megahertz(*preset.itof.frequencies_hz, between=" MHz, ")
-    unambiguous_m = float(unambiguous_range_m(preset.itof.frequencies_hz[0]))
+    unambiguous_m = combined_range_m(preset.itof.frequencies_hz)
     of_light = [
         ("time axis", bins),
         ("light paths", f"at most {axis.max_bounces} surfaces"),
@@ -161,7 +165,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
     ]
     return [
         ("images", f"{asked}, {rendered}; horizontal field of view {_fov_text(preset)}"),
-        ("frequencies", f"{hertz}; the first is unambiguous over {unambiguous_m:.2f} m of depth"),
+        ("frequencies", f"{hertz}; unambiguous over {unambiguous_m:.2f} m of depth"),
         ("pixels", ratio_sentence(found)),
         *([] if dataset.is_measured else of_light),
         ("disk used", ", ".join(f"{name} {size(count)}" for name, count in _disk(dataset.root))),
@@ -237,10 +241,10 @@ def _reading(dataset: Dataset, found: Distributions) -> str:
   `{MASK_CHANNEL}`{rendered}
 
 ```python
-from itof import DepthMap, depth_from_phase, phase, read_image
+from itof import DepthMap, phase, read_image, unwrap_depth
 
 z, frequencies_hz = read_image("renders/{scene_id}/{MEASUREMENT_FILE}").phasors()  # (H, W, F) complex
-wall_depth_m = depth_from_phase(phase(z[..., 0]), frequencies_hz[0])
+wall_depth_m = unwrap_depth(phase(z), frequencies_hz)
 hidden_depth_m = DepthMap.read("renders/{scene_id}/{GROUND_TRUTH_FILE}").radial_depth_m  # (H, W)
 ```"""
 

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from disk import sha256_of
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from render.products.card import CITATION, about
 from render.products.distributions import Distributions
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, RENDERING_FILE, TRANSIENT_FILE, Dataset
@@ -46,7 +47,10 @@ def has_no_other_croissant(dataset: Dataset) -> bool:
     file = dataset.root / CROISSANT_FILE
     if not file.exists():
         return True
-    return file.is_file() and f'"name": "{_WRITER}"' in file.read_text(encoding="utf-8", errors="replace")
+    try:
+        return f'"name": "{_WRITER}"'.encode() in read_plain(file, MOST_LIST_BYTES)
+    except OSError:
+        return False
 
 
 def croissant(dataset: Dataset, found: Distributions, licence: str | None) -> str:

@@ -11,7 +11,7 @@ from disk.path_like import PathLike
 from disk.preset_files import read_settings
 from processes.progress import showing_progress
 from scenegen.dataset import Dataset
-from scenegen.making.depth_range import refuse_wrapping_depths
+from scenegen.depth_range import refuse_wrapping_depths
 from scenegen.making.generation_pool import generate_in_processes
 from scenegen.making.meshes import read_meshes
 from scenegen.preset import Preset, preset_from_dict

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from disk.inner_paths import inside
+from disk.plain_file import read_plain
 from disk.whole_writing import whole_folder
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
 from scenegen.geometry_check import refusal
@@ -16,6 +17,7 @@ from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_fil
 from scenegen.preset import Preset
 from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene
+from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
@@ -116,6 +118,6 @@ def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
     try:
         if {entry.name for entry in folder.iterdir()} != set(files):
             return False
-        return all((folder / name).read_bytes() == contents for name, contents in files.items())
+        return all(read_plain(folder / name, MOST_FILE_BYTES) == contents for name, contents in files.items())
     except OSError:
         return False

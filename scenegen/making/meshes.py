@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from disk.inner_paths import inside
+from disk.plain_file import read_plain
 from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.triangles import MeshError, read_triangles
@@ -37,11 +38,6 @@ class UserMesh(UnitMesh):
     """
 
     sha256: str
-
-    @property
-    def radius(self) -> float:
-        """Largest distance of a vertex from the origin; 1/2 to √3/2."""
-        return float(np.linalg.norm(self.hull, axis=1).max())
 
 
 def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
@@ -83,11 +79,7 @@ def read_mesh(file: Path) -> UserMesh:
 
 def _contents(file: Path) -> bytes:
     try:
-        if file.exists() and not file.is_file():
-            raise MeshError(f"mesh {file} is not a file")
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise MeshError(f"mesh {file} is larger than {MAX_FILE_BYTES >> 30} GiB: simplify it")
-        return file.read_bytes()
+        return read_plain(file, MAX_FILE_BYTES)
     except FileNotFoundError:
         raise MeshError(
             f"mesh {file} is missing: the shape {MESH_PREFIX}FILE is relative to the preset's folder, which "

@@ -19,7 +19,7 @@ from disk.plain_file import read_plain
 from scenegen.dataset import DatasetError, open_dataset
 from scenegen.preset import Preset
 from scenegen.scene import scene_from_json, scene_id
-from scenegen.scene_folder import MOST_FILE_BYTES, SCENE_FILE, is_scene_file
+from scenegen.scene_folder import SCENE_FILE, is_scene_file
 
 NO_MESHES: Mapping[str, str] = MappingProxyType({})
 _NAMED = 3  # files that a refusal names
@@ -172,8 +172,8 @@ def _is_ours(entry: Path, preset: Preset) -> bool:
     if not _is_scene_folder(entry):
         return False
     try:
-        content = read_plain(entry / SCENE_FILE, MOST_FILE_BYTES)
-        scene = scene_from_json(content.decode(), str(entry))
+        content = read_plain(entry / SCENE_FILE)
+        scene = scene_from_json(content, str(entry))
     except (OSError, ValueError):
         return False
     return (scene.dataset_seed, scene.id) == (preset.dataset.seed, entry.name)

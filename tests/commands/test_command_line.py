@@ -99,7 +99,7 @@ def test_an_option_of_a_setting_has_its_bounds_and_says_what_it_is():
             assert options[f"--{flag}"].default is None, key  # not given: the preset or the run decides
             assert options[f"--{flag}"].help
     width, rate = (options[name].type for name in ("--width", "--learning-rate"))
-    assert (width.min, width.max, rate.min, rate.min_open) == (1, 1_000_000, 0, True)
+    assert (width.min, width.max, rate.min, rate.max) == (1, 1_000_000, 1e-37, 1e37)
     assert options["--target"].type.choices == ("components", "depth", "mask+depth")
     assert options["--reference"].type.choices == ("geometry", "capture", "self", "self+wiggling")
     assert options["--frequencies"].type.name == "MHZ,..."

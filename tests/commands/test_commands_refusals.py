@@ -1,5 +1,6 @@
 """Bad input to every command: one sentence on stderr and exit code 2, never a traceback."""
 
+import re
 import shlex
 
 import pytest
@@ -152,8 +153,8 @@ TABLE = [
     ("night-train {data} --out {out} --width 1000000", "out of memory with batch size 16 and width 1000000"),
     ("night-train {data} --out {out} --batch-size 0", "0 is not in the range 1<=x<=1000000000"),
     ("night-train {data} --out {out} --set optimiser.ema_decay=1", "optimiser.ema_decay must be less than 1"),
-    ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range x>0"),
-    ("night-train {data} --out {out} --learning-rate inf", "optimiser.learning_rate must be a finite number"),
+    ("night-train {data} --out {out} --learning-rate 0", "0.0 is not in the range 1e-37<=x<="),
+    ("night-train {data} --out {out} --learning-rate inf", "inf is not in the range 1e-37<=x<="),
     (
         "night-train {data} --out {out} --preset paper --set target.alpha=nan",
         "target.alpha must be a finite number",
@@ -173,7 +174,7 @@ TABLE = [
     ("night-train {data} --out {out} --levels 8 --block 16", "take fewer levels or a smaller block"),
     (
         "night-train {data} --out {out} --set augmentation.paper.rotation_deg=181",
-        "augmentation.paper.rotation_deg must be less than or equal to 180 (got 181)",
+        "augmentation.paper.rotation_deg must be 0 to 180 degrees (got 181)",
     ),
     (f"night-train {{data}} --out {{out}} --seed {2**63}", "is not in the range"),
     ("night-train {data} --out {out} --frequencies x", "'x' is no list of frequencies"),
@@ -253,11 +254,18 @@ def test_an_unknown_preset_key_is_named(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("text", ["count = " + "9" * 5000, "count = " + "[" * 100_000, "count = \xe9"])
-def test_a_preset_that_no_program_can_read_is_refused(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("count = " + "9" * 5000, "as TOML"),
+        ("count = " + "[" * 100_000, "as TOML"),
+        ("count = \xe9", ": it is not UTF-8, but perhaps Windows-1252 or Latin-1"),
+    ],
+)
+def test_a_preset_that_no_program_can_read_is_refused(tmp_path, text, words):
     (tmp_path / "my.toml").write_bytes(text.encode("latin-1"))
     message = refusal("night-gen", "scenes", tmp_path / "out", "--preset", tmp_path / "my.toml")
-    assert "my.toml cannot be read as TOML" in message
+    assert re.search(rf"my.toml cannot be read ?{words}", message)
 
 
 def test_a_preset_that_leaves_no_room_is_refused(tmp_path):

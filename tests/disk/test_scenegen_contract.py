@@ -2,13 +2,19 @@
 
 import json
 import shutil
+from dataclasses import is_dataclass
+from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
 
 from disk import ContractError, PresetError
+from itof.capture.sidecar import Sidecar
+from itof.sensor.settings import SensorSettings
+from model.settings.train_settings import TrainSettings
 from scenegen import (
     RECORD_FILE,
     DatasetError,
+    Preset,
     open_dataset,
     preset_from_dict,
     read_record,
@@ -86,12 +92,18 @@ def test_a_damaged_dataset_json_is_a_dataset_error_that_names_file_and_key(copy,
     assert str(file) in str(caught.value)
 
 
+HERTZ, GIVE = "must be 10000 to 1e+10 Hz", "give Hz, not MHz, like"
+
+
 @pytest.mark.parametrize(
     ("section", "key", "value", "sentence"),
     [
         ("dataset", "count", "five", "dataset.count must be a whole number (got 'five')"),
         ("dataset", "count", 2.5, "dataset.count must be a whole number (got 2.5)"),
         ("dataset", "count", 0, "dataset.count must be greater than or equal to 1 (got 0)"),
+        ("itof", "frequencies_hz", [20, 50, 60], f"itof.frequencies_hz.0 {HERTZ} (got 20): {GIVE} 20e6"),
+        ("itof", "frequencies_hz", [20e6, 60], f"itof.frequencies_hz.1 {HERTZ} (got 60): {GIVE} 60e6"),
+        ("transient", "bin_width_m", 1e-300, "transient.bin_width_m must be 0.0001 to 1000 m (got 1e-300)"),
         ("camera", "location_m", "here", "camera.location_m must be a list of values in [ ] (got 'here')"),
         ("camera", "location_m", [1, 2], "camera.location_m has too few values: only 2"),
         ("camera", "location_m", [1, 2, 3, 4], "camera.location_m has 4 values instead of at most 3"),
@@ -110,6 +122,34 @@ def test_what_a_value_must_be_is_said_without_types_of_python(section, key, valu
     with pytest.raises(PresetError) as refused:
         preset_from_dict({section: {key: value}}, "mine.toml")
     assert str(refused.value) == f"mine.toml: {sentence}"
+
+
+def unbounded(hint, place):
+    """Keys of the numbers in a type of settings that have no least or no largest value."""
+    if get_origin(hint) is Annotated:
+        kind, *marks = get_args(hint)
+        limits = [each for mark in marks for each in getattr(mark, "metadata", [mark])]
+        ends = {
+            end for each in limits for end in ("least", "most", "ge", "gt", "le", "lt") if hasattr(each, end)
+        }
+        if kind is float:
+            if not (ends & {"least", "ge", "gt"} and ends & {"most", "le", "lt"}):
+                yield place
+        else:
+            yield from unbounded(kind, place)
+    elif is_dataclass(hint):
+        for name, each in get_type_hints(hint, include_extras=True).items():
+            yield from unbounded(each, f"{place}.{name}")
+    elif hint is float:
+        yield place
+    else:
+        for each in get_args(hint):
+            yield from unbounded(each, place)
+
+
+@pytest.mark.parametrize("settings", [Preset, SensorSettings, Sidecar, TrainSettings])
+def test_every_number_of_a_toml_file_has_bounds(settings):
+    assert list(unbounded(settings, settings.__name__)) == []
 
 
 def test_a_camera_whose_projector_would_need_a_huge_image_is_refused():

@@ -106,13 +106,19 @@ def test_negative_amplitudes_and_real_phasors_are_refused(tmp_path):
 KEYS = {
     "unknown key stepcount": {"stepcount": 4},
     "key horizontal_fov_deg is missing": {"horizontal_fov_deg": None},
-    "frequencies_hz is 20, 50, 60: give Hz, not MHz, like 20e6": {"frequencies_hz": [20.0, 50.0, 60.0]},
+    "frequencies_hz.0 must be 10000 to 1e+10 Hz (got 20): give Hz, not MHz, like 20e6": {
+        "frequencies_hz": [20.0, 50.0, 60.0]
+    },
+    "frequencies_hz.2 must be 10000 to 1e+10 Hz (got 60)": {"frequencies_hz": [20e6, 50e6, 60.0]},
     "frequencies_hz names a frequency twice": {"frequencies_hz": [20e6, 20e6]},
-    "steps_rad reaches 270: give radians, not degrees": {
+    "steps_rad.1 must be -12.5664 to 12.5664 radians (got 90): give radians, not degrees": {
         "step_count": None,
         "steps_rad": [0.0, 90.0, 180.0, 270.0],
     },
-    "taps_rad reaches 180: give radians, not degrees": {"tap_count": None, "taps_rad": [0.0, 180.0]},
+    "taps_rad.1 must be -12.5664 to 12.5664 radians (got 180): give radians, not degrees": {
+        "tap_count": None,
+        "taps_rad": [0.0, 180.0],
+    },
     "do not tell amplitude, phase and background": {"step_count": 1},
     "2 steps and 1 taps do not tell": {"step_count": None, "tap_count": None, "steps_rad": [0.0, 1.0]},
     "give step_count or steps_rad, not both": {"steps_rad": [0.0, 1.0, 2.0]},
@@ -131,8 +137,10 @@ KEYS = {
     "8-bit numbers are too coarse": {"bits": 8},
     "dark_file needs dark_arrays": {"dark_file": "dark.npz"},
     "step_count must be less than or equal to 64": {"step_count": 65},
-    "lens.fx must be greater than 0": {"lens": {"fx": 0.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}},
-    "horizontal_fov_deg must be less than or equal to 170": {"horizontal_fov_deg": 200.0},
+    "lens.fx must be 0.001 to 1e+06 pixels (got 1e-300)": {
+        "lens": {"fx": 1e-300, "fy": 1.0, "cx": 0.0, "cy": 0.0}
+    },
+    "horizontal_fov_deg must be 1 to 170 degrees (got 200)": {"horizontal_fov_deg": 200.0},
     "phase_sign must be 1 or -1": {"phase_sign": 0},
     "format must be the name of a format": {"format": "../presets/paper"},
 }

@@ -267,6 +267,7 @@ def test_reading_in_several_threads_gives_stderr_back(tmp_path):
     ("name", "text", "words"),
     [
         ("bin_width_m", "inf", "impossible time axis"),
+        ("bin_width_m", "1e-300", r"bin_width_m must be 1e-09 to 1e\+06 m"),
         ("start_opl_m", "nan", "impossible time axis"),
         ("bin_count", "-7", "impossible time axis"),
         ("bin_count", "99999", "impossible time axis"),

@@ -311,11 +311,17 @@ def test_sensor_files_with_mistakes_are_refused_by_their_key(tmp_path):
     file = tmp_path / "s.toml"
     for text, words in (
         ("full_wel_e = 3.0", "unknown key full_wel_e"),
-        ("f_number = 0.0", "f_number must be greater than 0"),
+        ("f_number = 1e-300", "f_number must be 0.1 to 1000 (got 1e-300)"),
+        (
+            "contrast = [[40, 0.5]]",
+            "contrast.0.0 must be 10000 to 1e+10 Hz (got 40): give Hz, not MHz, like 40e6",
+        ),
+        ("wavelength_nm = 0.85", "wavelength_nm must be 300 to 1100 nm (got 0.85)"),
+        ("pixel_pitch_um = 1e-300", "pixel_pitch_um must be 0.01 to 1e+06 µm (got 1e-300)"),
         ("contrast = [[60e6, 0.5], [20e6, 0.6]]", "the frequencies must ascend, each once"),
         ("contrast = [[20e6, 1.5]]", "contrast"),
         ("adc_bits = 12", "adc_bits and adc_e_per_dn go together"),
-        ("scattering = 0.1\nscattering_width = 1e6", "scattering_width must be less than or equal"),
+        ("scattering = 0.1\nscattering_width = 1e6", "scattering_width must be 0.0001 to 10 (got 1000000)"),
         ("distortion = [-0.5, 0.0]", "folds the image before the corners"),
         ("phase_steps = 2", "phase_steps must be greater than or equal to 3"),
         ("integration_s = nan", "integration_s"),

@@ -90,7 +90,7 @@ def test_the_objects_are_those_of_the_dataset_without_spread():
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
-        ({"camera_spread": {"location_m": -0.1}}, "camera_spread.location_m must be greater"),
+        ({"camera_spread": {"location_m": -0.1}}, "camera_spread.location_m must be 0 to 100 m (got -0.1)"),
         ({"camera_spread": {"turn_deg": 3}}, "unknown key camera_spread.turn_deg"),
         (
             {"camera_spread": {"location_m": 1.2}},

@@ -209,7 +209,7 @@ def test_python_has_the_same_refusals(seeing_run, finished_copy, wider, tmp_path
 def test_a_dataset_at_other_frequencies_is_refused(seeing_run, tmp_path):
     for name, hz, sentence in (
         ("fewer", [20e6, 50e6], "60 MHz is not among 20, 50 MHz"),
-        ("lower", [10e6, 20e6, 50e6, 60e6], "predicts at 20 MHz, and the first frequency of .* is 10 MHz"),
+        ("lower", [10e6, 20e6, 50e6, 60e6], "predicts at 20 MHz, and a training on .* at 10 MHz"),
     ):
         tables = {"itof": {"frequencies_hz": hz}}
         dataset = write_synthetic_dataset(tmp_path / name, count=6, **tables)

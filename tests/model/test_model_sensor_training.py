@@ -185,7 +185,7 @@ def test_settings_name_a_camera_and_hold_what_it_is(tmp_path):
     for key, value, words in (
         ("input.channels.reference", "capture", "take reference self"),
         ("augmentation.camera.empty_corner", True, ""),
-        ("augmentation.camera.sensor.f_number", 0.0, "sensor.f_number must be greater than 0"),
+        ("augmentation.camera.sensor.f_number", 0.0, r"sensor.f_number must be 0\.1 to 1000 \(got 0\)"),
     ):
         changes = merged(data, tables({key: value}))
         if not words:

@@ -12,9 +12,10 @@ from training_runs import before_each_network, checkpoint, edit_settings, settin
 
 from disk.partials import HOST
 from model.data.channel_scaling import fit_input_spec
-from model.data.shards import open_shards
+from model.data.shards import ShardError, open_shards
 from model.device import DeviceError, choose_device
-from model.prediction.predictor import load
+from model.judging.calibration import reread
+from model.prediction.predictor import load, read_output
 from model.run_folder.history import read_history
 from model.run_folder.run_config import RUN_SCHEMA, RunError
 from model.training.loop import train
@@ -122,6 +123,37 @@ def test_a_network_sees_the_frequencies_it_was_asked_to_see_and_no_others(closed
     assert config.readout.frequency_hz == 20e6
     with pytest.raises(TrainingError, match="30 MHz is not among 20, 50, 60 MHz"):
         train(closed_form_scenes, tmp_path / "other", settings(frequencies_hz=(30e6,)))
+
+
+@pytest.fixture(scope="module")
+def deep_scenes(tmp_path_factory):
+    """Scenes whose objects can be farther than the 3.75 m of 40 MHz."""
+    root = tmp_path_factory.mktemp("deep") / "data"
+    return write_synthetic_dataset(root, count=6, itof={"frequencies_hz": [40e6, 70e6]})
+
+
+@pytest.mark.parametrize("target", ["mask+depth", "depth"])
+def test_depths_that_the_first_frequency_does_not_represent_do_not_wrap(deep_scenes, target, tmp_path):
+    run = tmp_path / "run"
+    train(deep_scenes, run, settings(target=target, max_epochs=1))
+    readout = load(run, "cpu").config.readout
+    assert readout.frequency_hz == 20e6  # half of 40 MHz
+    depth_m = torch.full((1, 2, 3), 3.9)
+    output = depth_m[:, None]
+    if target == "mask+depth":
+        output = torch.stack([torch.full_like(depth_m, 9.0), readout.standardised(depth_m)], dim=1)
+    prediction = read_output(output, readout)
+    assert prediction.radial_depth_m == pytest.approx(3.9, abs=1e-5)
+    assert reread(prediction, readout).radial_depth_m == pytest.approx(3.9, abs=1e-5)  # from the phase
+    assert train(deep_scenes, run, settings(target=target, max_epochs=1), resume=True).epochs == 1
+
+
+def test_targets_that_need_the_phase_at_the_first_frequency_are_refused_if_it_wraps(deep_scenes, tmp_path):
+    with pytest.raises(TrainingError, match=r"40 MHz, whose phase represents depths below 3\.747 m, "):
+        train(deep_scenes, tmp_path / "run", settings(target="components"))
+    with pytest.raises(ShardError, match=r"the phase at 40 MHz, which repeats every 3\.747 m, .* take"):
+        train(deep_scenes, tmp_path / "run", settings(target="mask+depth", ground_truth="simulated"))
+    assert not (tmp_path / "run" / "run.json").exists()
 
 
 def test_a_folder_in_use_is_not_overwritten(closed_form_scenes, finished_copy, tmp_path):

@@ -220,13 +220,22 @@ NOT_UNDERSTOOD = (
     ("jobqueue:\n  slurm:\n    cores: 4", "jobqueue.slurm needs memory"),
     *(
         (f"jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    {line}", "does not describe a job")
-        for line in ("processes: 0", "processes: 1.5", "job-script-prologue: 3")
+        for line in ("processes: 1.5", "job-script-prologue: 3")
     ),
     (
         "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    security: abc",
         "security must be true, or left out",
     ),
+    (
+        "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    processes: 0",
+        "jobqueue.slurm.processes must be 1 to 1e+06 (got 0)",
+    ),
+    (
+        "jobqueue:\n  slurm:\n    cores: 4\n    memory: 32",
+        "jobqueue.slurm.memory must be 1e+08 to 1e+15 bytes (got 32): give it with a unit, like 32GB",
+    ),
     ("jobqueue:\n  slurm:\n    cores: 4\n    memory: [1]", "does not describe a job"),
+    ("jobqueue:\n  slurm:\n    cores: 4\n    memory: 1e400", "does not describe a job"),
     (
         "jobqueue:\n  slurm:\n    cores: 4\n    memory: 1GB\n    shared-temp-directory: 3",
         "shared-temp-directory must be the name of a folder",

@@ -1,4 +1,4 @@
-"""The reference frequency of a preset represents every depth that its mirrored scenes can have."""
+"""The frequencies of a preset represent every depth that its mirrored scenes can have."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ import trimesh
 from night_commands import refusal
 
 from disk import PresetError
-from itof import unambiguous_range_m
+from itof import combined_range_m, unambiguous_range_m
 from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
-from scenegen.making.depth_range import largest_mirrored_depth_m, refuse_wrapping_depths
+from scenegen.depth_range import largest_mirrored_depth_m, refuse_wrapping_depths, turns_of_first_phase
 from scenegen.making.meshes import read_meshes
 from scenegen.pose import rotation_matrix, wall_normal
 from scenegen.shapes import PRIMITIVES
@@ -53,7 +53,8 @@ def random_preset(rng):
     wall = {"location_m": [rng.uniform(-1, 0), 0.0, 2.0], "rotation_deg": [0.0, rng.uniform(60, 120), 0.0]}
     camera = {"location_m": [rng.uniform(0.5, 3), -1.0, 1.65]}
     sections = {"hidden_object": hidden, "relay_wall": wall, "camera": camera}
-    return at(np.exp(rng.uniform(np.log(5e6), np.log(60e6))), 80e6, **sections)
+    first_hz = float(round(np.exp(rng.uniform(np.log(5e6), np.log(60e6)))))
+    return at(first_hz, 3 * first_hz, **sections)
 
 
 def test_no_mirrored_depth_of_an_accepted_preset_wraps():
@@ -92,24 +93,37 @@ def test_the_bound_is_the_farthest_depth_that_scenes_have():
     assert found_m > bound_m - 0.034 * np.sqrt(0.75) * 0.5
 
 
-def test_60_and_80_mhz_are_refused_in_one_sentence_that_names_a_frequency_that_works():
+def test_60_and_120_mhz_are_refused_in_one_sentence_that_names_a_frequency_that_works():
     with pytest.raises(PresetError) as refused:
-        refuse_wrapping_depths(at(60e6, 80e6), {})
+        refuse_wrapping_depths(at(60e6, 120e6), {})
     said = str(refused.value)
-    assert "60 MHz, represents depths below 2.498 m" in said
+    assert "60, 120 MHz can represent depths below 2.498 m" in said
     assert "up to 3.937 m from the camera" in said
     assert said.endswith("put a lower frequency first, at most 38 MHz")
-    refuse_wrapping_depths(at(38e6, 60e6, 80e6), {})
+    refuse_wrapping_depths(at(38e6, 60e6, 120e6), {})
+    refuse_wrapping_depths(at(38e6), {})
     with pytest.raises(PresetError):
-        refuse_wrapping_depths(at(38.1e6, 60e6, 80e6), {})  # 3.934 m
+        refuse_wrapping_depths(at(38.1e6), {})  # 3.934 m
+
+
+@pytest.mark.parametrize(
+    ("frequencies_hz", "turns"), [((40e6, 70e6), 2), ((60e6, 80e6), 2), ((80e6, 100e6), 3), ((38e6, 70e6), 1)]
+)
+def test_what_the_first_frequency_does_not_represent_the_set_may(frequencies_hz, turns):
+    preset = at(*frequencies_hz)
+    refuse_wrapping_depths(preset, {})  # unambiguous together over 7.49 m or more
+    assert combined_range_m(frequencies_hz) > largest_mirrored_depth_m(preset)
+    assert turns_of_first_phase(preset) == turns
+    first_m = unambiguous_range_m(frequencies_hz[0])
+    assert (turns - 1) * first_m < largest_mirrored_depth_m(preset) < turns * first_m
 
 
 def test_the_command_and_python_refuse_them_before_they_write_anything(tmp_path):
     preset = tmp_path / "fast.toml"
-    preset.write_text("[itof]\nfrequencies_hz = [60e6, 80e6]\n")
+    preset.write_text("[itof]\nfrequencies_hz = [60e6, 120e6]\n")
     said = refusal("night-gen", "scenes", tmp_path / "data", "--preset", preset)
-    assert "the first, 60 MHz, represents depths below 2.498 m" in said
-    with pytest.raises(PresetError, match="the first, 60 MHz"):
+    assert "60, 120 MHz can represent depths below 2.498 m" in said
+    with pytest.raises(PresetError, match="60, 120 MHz can represent"):
         make_dataset(tmp_path / "data", preset, progress=False)
     assert not (tmp_path / "data").exists()
 

@@ -1,7 +1,9 @@
 """The user's meshes as hidden objects: size, place and facing, and files that are refused."""
 
 import io
+import json
 import re
+import struct
 import zipfile
 from dataclasses import replace
 
@@ -138,6 +140,22 @@ def repeated(count):
     return scene.export(file_type="glb")
 
 
+def declaring(count, *, in_bytes=False):
+    """A small GLB file whose header gives an array so many entries, in its bytes or out of nothing."""
+    contents = exported(wedge(), "glb")
+    length = int.from_bytes(contents[12:16], "little")
+    tree = json.loads(contents[20 : 20 + length])
+    place = tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    tree["accessors"][place]["count"] = count
+    if not in_bytes:
+        del tree["accessors"][place]["bufferView"]
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = contents[20 + length :]
+    head = b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON"
+    return head + text + rest
+
+
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 
 
@@ -153,6 +171,13 @@ SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
         ("stl", exported(wedge(), "stl")[:-20], "no triangles"),
         ("txt", b"hello", "no known format"),
         ("zip", zipped(exported(wedge())), "no known format"),
+        (
+            "glb",
+            declaring(10**8),
+            "declares 100000000 corners and .* numbers: simplify it to at most 2000000",
+        ),
+        ("glb", declaring(10**8, in_bytes=True), "declares 100000000 corners"),
+        ("glb", declaring("many"), "cannot be read as GLB"),
         ("glb", repeated(100), "has 2048000 triangles: simplify it"),
         ("ply", ply_of(SQUARE, []), "no triangles"),
         ("ply", ply_of([*SQUARE[:3], (0, 0, "nan")], [(0, 1, 2)]), "infinite or not a number"),
@@ -170,7 +195,9 @@ def test_a_mesh_that_is_no_surface_is_refused_by_name(tmp_path, kind, data, word
 
 def test_a_folder_is_no_mesh(tmp_path):
     (tmp_path / "shapes" / "mine.ply").mkdir(parents=True)
-    assert "mine.ply is not a file" in scenes_refused(tmp_path / "out", with_mesh(tmp_path, None))
+    assert "mine.ply cannot be read: Is a directory" in scenes_refused(
+        tmp_path / "out", with_mesh(tmp_path, None)
+    )
 
 
 def test_a_mesh_of_too_many_triangles_says_how_many_are_allowed(tmp_path):

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from disk import whole_file, write_text
-from disk.own_files import MOST_RECORD_BYTES, hashes_of
-from disk.plain_file import read_plain
+from disk.own_files import hashes_of
+from disk.plain_file import MOST_LIST_BYTES, read_plain
 from itof.sensor.settings import SensorSettings
 from model.network.metrics import NUMBERS, Summary, summary_cells
 
@@ -122,7 +122,7 @@ class ExposureReport:
 def files_of_exposures(folder: Path) -> dict[str, str | None]:
     """Files of earlier results by path, with SHA-256; empty if there are none."""
     try:
-        content = json.loads(read_plain(folder / RESULT_FILE, MOST_RECORD_BYTES))
+        content = json.loads(read_plain(folder / RESULT_FILE, MOST_LIST_BYTES))
         if content["schema_version"] != EXPOSURE_SCHEMA:
             return {}
         known = {str(name): str(sha256) for name, sha256 in content["files"].items()}

@@ -1,30 +1,31 @@
-"""Whether the first frequency of a preset can represent every depth of its mirrored scenes."""
+"""Whether the frequencies of a preset can represent every depth of its mirrored scenes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from math import floor, hypot, log10
+from math import floor, gcd, hypot, log10
+from types import MappingProxyType
 
 import numpy as np
 from scipy.constants import speed_of_light
 
 from disk.preset_files import PresetError
 from disk.quantities import Extent
-from scenegen.making.meshes import UserMesh
 from scenegen.pose import wall_normal
 from scenegen.preset import HiddenObjectSettings, Preset
 from scenegen.scene import Wall
 from scenegen.shapes import Shape
+from scenegen.unit_meshes import UnitMesh
 
+NO_MESHES: Mapping[Shape, UnitMesh] = MappingProxyType({})
 _ROUNDING = 1e-6  # relative, of float32 coordinates
 
 
-def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UserMesh]) -> None:
-    """Refuse a preset whose scenes can have mirrored depths outside the reference frequency's range.
+def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> None:
+    """Refuse a preset whose scenes can have mirrored depths that its frequencies together do not represent.
 
-    The ground truth is a phasor at the first frequency f. Its phase gives depths between 0 and c / 2f; those
-    beyond would come back as smaller ones, and a perfect prediction would count as wrong by metres.
+    With f their greatest common divisor, all phases of a depth d are those of d + c / 2f, too.
 
     Parameters
     ----------
@@ -45,23 +46,34 @@ def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UserMesh]) -> 
             f"camera.location_m{spread} is {-gap_m:g} m behind the front of the relay wall, which the camera "
             "must see: move the camera or turn the wall with relay_wall.rotation_deg"
         )
-    depth_m, first_hz = largest_mirrored_depth_m(preset, meshes), preset.itof.frequencies_hz[0]
-    range_m = speed_of_light / (2 * first_hz)
+    depth_m, frequencies_hz = largest_mirrored_depth_m(preset, meshes), preset.itof.frequencies_hz
+    range_m = speed_of_light / (2 * gcd(*map(round, frequencies_hz)))
     if range_m <= depth_m * (1 + _ROUNDING):
+        known = ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz)
         raise PresetError(
-            f"itof.frequencies_hz: the first, {first_hz / 1e6:g} MHz, represents depths below "
-            f"{range_m:.4g} m, and mirrored hidden objects can be up to {depth_m:.4g} m from the camera: put "
-            f"a lower frequency first, at most {_highest_hz(depth_m) / 1e6:g} MHz"
+            f"itof.frequencies_hz: {known} MHz can represent depths below {range_m:.4g} m, and mirrored "
+            f"hidden objects can be up to {depth_m:.4g} m from the camera: put a lower frequency first, at "
+            f"most {_highest_hz(depth_m) / 1e6:g} MHz"
         )
 
 
-def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UserMesh]) -> float:
+def turns_of_first_phase(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> int:
+    """How often the phase at the first frequency turns over the depths of mirrored scenes; 1 represents all.
+
+    The depths are those up to `largest_mirrored_depth_m`.
+    """
+    range_m = speed_of_light / (2 * preset.itof.frequencies_hz[0])
+    return floor(largest_mirrored_depth_m(preset, meshes) * (1 + _ROUNDING) / range_m) + 1
+
+
+def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> float:
     """Upper bound of the distance between the camera and the mirror image of any hidden object, metres.
 
     That distance is the one between the camera's mirror image and the object. The bound is the largest one
     to the range of the objects' centres, at a corner of this box, plus the largest radius about a centre.
     It is attained if all rotations are allowed. With a spread of the camera, whose mirror image moves as far
-    as the camera itself, half the diagonal of its box is added.
+    as the camera itself, half the diagonal of its box is added. A mesh that is not in `meshes` counts as the
+    cube of its longest side.
     """
     wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
     normal = wall_normal(wall)
@@ -78,7 +90,7 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UserMesh]) -
     return farthest_m + moved_m + max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
 
 
-def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UserMesh]) -> float:
+def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UnitMesh]) -> float:
     """Largest distance of a point of a shape from its centre, metres."""
     size_m: Extent = settings.size_m.of(shape)
     x, y, z = size_m
