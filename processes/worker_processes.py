@@ -16,6 +16,8 @@ from multiprocessing.synchronize import Event
 from types import ModuleType
 from typing import TypeVar
 
+from processes.deferred_signals import deferred_signals
+
 KILLED = (
     "a worker process was killed, perhaps because memory ran out: run the same command again to continue, "
     "with a smaller --workers if it happens again"
@@ -53,7 +55,8 @@ def worker_pool(
 def submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: object) -> Future[_Result]:
     """Submit a task. A worker that is started for it ignores Ctrl-C, which this process handles for all.
 
-    Nor does it run the caller's script again, as new processes do for functions that are defined there.
+    Nor does it run the caller's script again, as new processes do for functions that are defined there. A
+    signal waits until the worker has all that it starts with; without, it would end with a traceback.
 
     Raises
     ------
@@ -62,7 +65,8 @@ def submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: 
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # new processes inherit the mask
     main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
     try:
-        return pool.submit(task, *arguments)
+        with deferred_signals():
+            return pool.submit(task, *arguments)
     except OSError as error:
         if getattr(pool, "_broken", False):  # while this call started a worker (Python 3.11)
             raise BrokenProcessPool(str(error)) from error
