@@ -93,8 +93,8 @@ def results_in_order(
 
 
 @contextmanager
-def ended_when_broken() -> Iterator[None]:
-    """Kill the processes that were started in the block if the block ends because their pool broke.
+def ended_when_broken(error: type[Exception] = BrokenProcessPool) -> Iterator[None]:
+    """Kill the processes that were started in the block if it ends with this error, as of a broken pool.
 
     A pool of Python 3.11 that breaks while it starts a worker does not end this worker, and then waits for
     it without limit.
@@ -102,7 +102,7 @@ def ended_when_broken() -> Iterator[None]:
     before = set(active_children())
     try:
         yield
-    except BrokenProcessPool:
+    except error:
         for process in set(active_children()) - before:
             process.kill()
         raise

@@ -77,10 +77,14 @@ def check_cluster(scheduler: str | None, cluster_file: PathLike | None, workers:
     Raises
     ------
     ClusterError : both are given, a number of workers is given for a running cluster, or the file cannot be
-        used.
+        used, or one of Dask's configuration.
     MissingPackageError : the extra ``cluster`` is not installed.
     """
     need("cluster", ("cryptography", "dask_jobqueue", "distributed"), "night-render DATASET")
+    try:
+        import dask  # noqa: F401
+    except ValueError as error:  # Dask reads all files of its configuration when it is imported
+        raise ClusterError(f"{' '.join(str(error).split())}: correct this file") from None
     if scheduler is not None and cluster_file is not None:
         raise ClusterError("give either the address of a running cluster or a file that starts one")
     if scheduler is not None and workers is not None:

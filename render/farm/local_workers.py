@@ -8,6 +8,7 @@ import socket
 from resource import RLIM_INFINITY, RLIMIT_NOFILE, getrlimit, setrlimit
 from typing import Any
 
+from processes.worker_processes import ended_when_broken
 from render.backend import Device, gpu_ids, select_variant
 from render.farm.dask_settings import NO_DASHBOARD, ClusterError, own_certificates
 
@@ -39,13 +40,14 @@ def local_cluster(workers: int | None, device: Device) -> Any:
     try:
         return _start(count, gpus)
     except Exception as error:  # of any kind: from Dask, from the system
-        if isinstance(_first(error), TimeoutError):
-            raise _not_started(f"within {_start_s(count)} s", error) from error
-        log.info("the worker processes did not start (%s): once more", _words(_first(error)))
+        causes = _causes(error)
+        if any(isinstance(cause, TimeoutError) for cause in causes):
+            raise _not_started(f"within {_start_s(count)} s") from error
+        log.info("the worker processes did not start (%s): once more", _words(causes[-1]))
     try:
         return _start(count, gpus)
     except Exception as error:  # of any kind: from Dask, from the system
-        raise _not_started("at two attempts", error) from error
+        raise _not_started(f"at two attempts ({_words(_causes(error)[-1])})") from error
 
 
 def _start(count: int, gpus: list[str]) -> Any:
@@ -65,12 +67,15 @@ def _start(count: int, gpus: list[str]) -> Any:
         "death_timeout": _start_s(count),
     }
     environments = [{"CUDA_VISIBLE_DEVICES": gpus[i % len(gpus)]} if gpus else {} for i in range(count)]
-    cluster = SpecCluster(
-        workers={i: {"cls": Nanny, "options": options | {"env": env}} for i, env in enumerate(environments)},
-        scheduler={"cls": Scheduler, "options": both | NO_DASHBOARD},
-        security=security,
-        silence_logs=logging.CRITICAL,
-    )
+    with ended_when_broken(Exception):
+        cluster = SpecCluster(
+            workers={
+                i: {"cls": Nanny, "options": options | {"env": env}} for i, env in enumerate(environments)
+            },
+            scheduler={"cls": Scheduler, "options": both | NO_DASHBOARD},
+            security=security,
+            silence_logs=logging.CRITICAL,
+        )
     for nanny in cluster.workers.values():
         nanny.death_timeout = _RESTART_S
     return cluster
@@ -114,18 +119,16 @@ def _allow_open_files(workers: int) -> None:
         setrlimit(RLIMIT_NOFILE, (needed, getrlimit(RLIMIT_NOFILE)[1]))
 
 
-def _not_started(when: str, error: BaseException) -> ClusterError:
+def _not_started(when: str) -> ClusterError:
     return ClusterError(
-        f"the worker processes did not start, {when} ({_words(_first(error))}): try fewer --workers, and see "
-        "whether memory is free"
+        f"the worker processes did not start, {when}: try fewer --workers, and see whether memory is free"
     )
 
 
-def _first(error: BaseException) -> BaseException:
-    """The first of the exceptions that led to this one."""
-    while (earlier := error.__cause__ or error.__context__) is not None:
-        error = earlier
-    return error
+def _causes(error: BaseException) -> list[BaseException]:
+    """An exception and those that led to it, the first of all last."""
+    earlier = error.__cause__ or error.__context__
+    return [error, *([] if earlier is None else _causes(earlier))]
 
 
 def _words(error: BaseException) -> str:

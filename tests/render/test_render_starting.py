@@ -1,5 +1,6 @@
 """The start of workers: addresses that are no scheduler's, too few open files, workers that are killed."""
 
+import os
 import shutil
 import socket
 import subprocess
@@ -155,6 +156,22 @@ def test_local_workers_have_dasks_own_settings_whatever_the_user_has_configured(
         assert dask.config.get(terminate) == 0
 
 
+def test_a_file_of_dasks_configuration_that_is_not_yaml_is_named(tmp_path):
+    (file := tmp_path / "dask.yaml").write_text("distributed: [")
+    code = "from render.farm.clusters import check_cluster; check_cluster(None, None)"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "DASK_CONFIG": str(file)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    *_, last = done.stderr.splitlines()
+    assert last.startswith(
+        f"render.farm.dask_settings.ClusterError: A dask config file at '{file}' is malformed"
+    )
+
+
 def test_without_a_loopback_device_local_workers_are_refused():
     code = "from render.farm.local_workers import local_cluster; local_cluster(1, 'cpu')"
     alone = ["unshare", "--map-root-user", "--net"]
@@ -178,7 +195,7 @@ def test_more_workers_than_files_may_be_open_are_refused(monkeypatch):
 
 
 @contextmanager
-def killing_first_workers(count):
+def killing_first_workers(count, kill_one=psutil.Process.kill):
     """Kill the first `count` worker processes of this process as soon as they are there."""
     killed, stop = [], threading.Event()
 
@@ -186,7 +203,7 @@ def killing_first_workers(count):
         while not stop.is_set() and len(killed) < count:
             for child in psutil.Process().children():  # not the workers of a cluster of other tests
                 if is_worker(child) and child.pid not in killed and len(killed) < count:
-                    child.kill()
+                    kill_one(child)
                     killed.append(child.pid)
             time.sleep(0.01)
 
@@ -218,6 +235,17 @@ def test_workers_that_are_always_killed_while_they_start_end_the_run_in_one_sent
     assert killed
     assert done.returncode == 2
     assert "Error: the worker processes did not start, at two attempts" in done.stderr.splitlines()[-1]
+    assert not [child for child in psutil.Process().children() if is_worker(child)]
+
+
+@pytest.mark.long
+def test_workers_that_do_not_start_in_time_end_the_run_in_one_sentence(unrendered, monkeypatch):
+    monkeypatch.setattr("render.farm.local_workers._START_S", 1)
+    with killing_first_workers(100, psutil.Process.suspend) as suspended:
+        done = night_here("night-render", unrendered, *SETTINGS, "--workers", 1)
+    assert len(suspended) == 1
+    assert done.returncode == 2
+    assert "Error: the worker processes did not start, within 3 s: try fewer" in done.stderr.splitlines()[-1]
     assert not [child for child in psutil.Process().children() if is_worker(child)]
 
 
