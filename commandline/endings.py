@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any
@@ -59,25 +59,6 @@ def _ending(command: str, place: str = "") -> Iterator[None]:
     except Exception:  # of any kind: whatever input cannot cause is a defect
         say(traceback.format_exc() + _REPORT_IT.format(version("night-nlos")))
         sys.exit(_DEFECT)
-
-
-@contextmanager
-def noted_interrupt() -> Iterator[Callable[[], None]]:
-    """Ctrl-C in the block is noted; the function that is yielded, or the block's end, then raises it."""
-    noted: list[int] = []
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # not ignored, as in the background of a script
-        signal.signal(signal.SIGINT, lambda number, _: noted.append(number))
-
-    def raise_noted() -> None:
-        if noted:
-            raise KeyboardInterrupt
-
-    try:
-        yield raise_noted
-    finally:
-        signal.signal(signal.SIGINT, before)
-    raise_noted()
 
 
 class NightCommand(click.Command):

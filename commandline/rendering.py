@@ -171,7 +171,7 @@ def _chosen_run(dataset: Dataset, options: dict[str, Any]) -> tuple[RenderSettin
 
     workers, where = options.pop("workers"), options.pop("cluster")
     again, accepted = options.pop("again"), options.pop("accept")
-    is_running = where is not None and "://" in where
+    is_running = where is not None and ("://" in where or not where)  # an empty one is no file, either
     run_options = RunOptions(
         workers=workers,
         scheduler=where if is_running else None,

@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from commandline.endings import NightGroup, noted_interrupt
+from commandline.endings import NightGroup
 from commandline.options import FOLDER, chosen_scenes
 from commandline.streams import say
 from disk import read_settings
-from processes import showing_progress
+from processes import deferred_signals, showing_progress
 from scenegen import Preset, leaks, open_dataset, preset_from_dict
 
 PRESET = click.option(
@@ -92,11 +92,11 @@ def preview(dataset: Path, count: int, only: tuple[str, ...], licence: str | Non
     preview_files.check_preview(opened, ids, licence)  # before Blender, which takes a second to load
     maker = blender_maker(preview_files.meshes_in(opened, ids))
     steps = len(opened.ids()) + len(ids)
-    with noted_interrupt() as raise_noted, showing_progress(steps, "scene", "preview") as bar:
+    with deferred_signals() as handle_signals, showing_progress(steps, "scene", "preview") as bar:
 
         def scene_done() -> None:
             bar.update()
-            raise_noted()  # Blender loses an exception that comes while it renders
+            handle_signals()  # Blender loses an exception that comes while it renders
 
         written = preview_files.write_preview(opened, ids, maker.picture, licence, scene_done)
     for file in written:

@@ -13,6 +13,10 @@ from disk.private_folder import private_folder
 _STDIN, _STDOUT, _STDERR = range(3)
 # Environment variables that name folders for caches, and the folders that are used in place of the home.
 _CACHES = {"DRJIT_CACHE_DIR": "drjit", "MPLCONFIGDIR": "matplotlib"}
+# Without these, libraries leave something in the folder for temporary files: PyTorch the empty cache of a
+# compiler that NIGHT does not use, so any folder that exists will do, and ONNX Runtime the id of a user whose
+# use it reports.
+_NOTHING_LEFT = {"TORCHINDUCTOR_CACHE_DIR": os.sep, "ORT_DISABLE_TELEMETRY": "1"}
 
 
 def prepare_process() -> None:
@@ -21,6 +25,8 @@ def prepare_process() -> None:
     Processes that this one starts inherit both.
     """
     _open_standard_streams()
+    for variable, value in _NOTHING_LEFT.items():
+        os.environ.setdefault(variable, value)
     if not _has_home():
         _move_caches()
 

@@ -16,6 +16,8 @@ from multiprocessing.synchronize import Event
 from types import ModuleType
 from typing import TypeVar
 
+from processes.deferred_signals import deferred_signals
+
 KILLED = (
     "a worker process was killed, perhaps because memory ran out: run the same command again to continue, "
     "with a smaller --workers if it happens again"
@@ -53,7 +55,8 @@ def worker_pool(
 def submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: object) -> Future[_Result]:
     """Submit a task. A worker that is started for it ignores Ctrl-C, which this process handles for all.
 
-    Nor does it run the caller's script again, as new processes do for functions that are defined there.
+    Nor does it run the caller's script again, as new processes do for functions that are defined there. A
+    signal waits until the worker has all that it starts with; without, it would end with a traceback.
 
     Raises
     ------
@@ -62,7 +65,8 @@ def submit(pool: ProcessPoolExecutor, task: Callable[..., _Result], *arguments: 
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # new processes inherit the mask
     main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
     try:
-        return pool.submit(task, *arguments)
+        with deferred_signals():
+            return pool.submit(task, *arguments)
     except OSError as error:
         if getattr(pool, "_broken", False):  # while this call started a worker (Python 3.11)
             raise BrokenProcessPool(str(error)) from error
@@ -89,8 +93,8 @@ def results_in_order(
 
 
 @contextmanager
-def ended_when_broken() -> Iterator[None]:
-    """Kill the processes that were started in the block if the block ends because their pool broke.
+def ended_when_broken(error: type[Exception] = BrokenProcessPool) -> Iterator[None]:
+    """Kill the processes that were started in the block if it ends with this error, as of a broken pool.
 
     A pool of Python 3.11 that breaks while it starts a worker does not end this worker, and then waits for
     it without limit.
@@ -98,7 +102,7 @@ def ended_when_broken() -> Iterator[None]:
     before = set(active_children())
     try:
         yield
-    except BrokenProcessPool:
+    except error:
         for process in set(active_children()) - before:
             process.kill()
         raise

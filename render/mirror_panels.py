@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from disk import PathLike
 from itof import pixel_rays
+from itof.pictures.png import save_png
 from render.backend import Device, select_variant
 from render.products.conversion import ExportError, exported_file
 from render.products.panels_figure import panels_figure
@@ -111,7 +112,7 @@ def write_mirror_panels(
         except OSError as error:  # of reading, not of `out`
             raise RenderError(f"scene {scene_id}: {error.filename}: {error.strerror}") from None
         figure = panels_figure(dict(zip(_TITLES, (found.corner, found.mirror, found.trick), strict=True)))
-        figure.savefig(partial, format="png", dpi=_DOTS_PER_INCH)
+        save_png(figure, partial, _DOTS_PER_INCH)
 
 
 def _lit_by_the_sky(description: Description, scene: Scene, size: tuple[int, int]) -> dict[str, Any]:

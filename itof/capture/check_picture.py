@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from disk import whole_file
 from itof.capture.sidecar import CaptureError
+from itof.pictures.png import save_png
 
 if TYPE_CHECKING:  # matplotlib takes half a second to load
     from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ _HEAD = 512  # bytes that hold the text: matplotlib writes it before the pixels
 def write_picture(path: Path, figure: Figure) -> None:
     """Write a PNG file that `refuse_other_picture` knows again, whole or not at all."""
     with whole_file(path) as partial:
-        figure.savefig(partial, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None, "Source": _MARK})
+        save_png(figure, partial, DOTS_PER_INCH, metadata={"Software": None, "Source": _MARK})
 
 
 def refuse_other_picture(path: Path) -> None:

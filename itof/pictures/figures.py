@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from disk import whole_file
 from itof import DepthMap
+from itof.pictures.png import save_png
 
 PANELS = ("Re", "Im", "radial depth")
 ERROR_PANEL = "expected error of the depth"
@@ -57,7 +58,7 @@ def prediction_figure(title: str, one: DepthMap) -> Figure:
 def write_figure(path: Path, figure: Figure) -> None:
     """Write a PNG file, whole or not at all."""
     with whole_file(path) as partial:
-        figure.savefig(partial, format="png", dpi=DOTS_PER_INCH)
+        save_png(figure, partial, DOTS_PER_INCH)
 
 
 def depth_range(*views: DepthMap) -> tuple[float, float]:

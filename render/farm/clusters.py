@@ -51,10 +51,10 @@ def connected(
     BackendError : this machine cannot render on `device` (local workers only).
     """
     shows_pages = check_cluster(scheduler, cluster_file, workers)
-    is_local = not (scheduler or cluster_file)
+    is_local = scheduler is None and cluster_file is None
     with dask_settings(is_local=is_local, shows_pages=shows_pages), ExitStack() as stack:
         _leave_ctrl_c_to_us(stack)
-        if scheduler:
+        if scheduler is not None:
             client = _joined(scheduler)
         else:
             client = _started(stack, workers, cluster_file, device, keys_folder, submissions)
@@ -63,7 +63,7 @@ def connected(
         try:
             yield client
         finally:
-            if cluster_file:  # a second Ctrl-C would leave jobs in the batch system
+            if cluster_file is not None:  # a second Ctrl-C would leave jobs in the batch system
                 signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
@@ -77,17 +77,21 @@ def check_cluster(scheduler: str | None, cluster_file: PathLike | None, workers:
     Raises
     ------
     ClusterError : both are given, a number of workers is given for a running cluster, or the file cannot be
-        used.
+        used, or one of Dask's configuration.
     MissingPackageError : the extra ``cluster`` is not installed.
     """
     need("cluster", ("cryptography", "dask_jobqueue", "distributed"), "night-render DATASET")
-    if scheduler and cluster_file:
+    try:
+        import dask  # noqa: F401
+    except ValueError as error:  # Dask reads all files of its configuration when it is imported
+        raise ClusterError(f"{' '.join(str(error).split())}: correct this file") from None
+    if scheduler is not None and cluster_file is not None:
         raise ClusterError("give either the address of a running cluster or a file that starts one")
-    if scheduler and workers is not None:
+    if scheduler is not None and workers is not None:
         raise ClusterError(
             "--workers is for this machine or for --cluster: a running cluster has its own workers"
         )
-    if scheduler:
+    if scheduler is not None:
         check_address(scheduler)
     return cluster_file is not None and check_cluster_file(cluster_file)
 
@@ -98,10 +102,9 @@ def _joined(scheduler: str) -> Client:
     check_answer(scheduler)
     try:
         return Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, RuntimeError) as error:
-        raise ClusterError(
-            f"the Dask scheduler at {scheduler} takes no clients ({' '.join(str(error).split())})"
-        ) from None
+    except Exception as error:  # of any kind: from Dask
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise ClusterError(f"the Dask scheduler at {scheduler} takes no clients ({what})") from None
 
 
 def _started(
@@ -114,7 +117,7 @@ def _started(
 ) -> Client:
     from distributed import Client
 
-    if cluster_file:
+    if cluster_file is not None:
         cluster = stack.enter_context(batch_cluster(cluster_file, keys_folder, submissions))
         # adapt, unlike scale, submits a new job when the time of a job is up
         cluster.adapt(minimum_jobs=workers or 1, maximum_jobs=workers or 1)

@@ -56,7 +56,9 @@ def dask_settings(*, is_local: bool, shows_pages: bool) -> Iterator[None]:
 
     _quieten()
     folder = str(private_folder())
-    settings = _SETTINGS | {"temporary-directory": folder}
+    # The configuration of the user is for clusters of his own, and could stop ours.
+    settings = dask.config.merge(*dask.config.defaults) if is_local else {}
+    settings |= _SETTINGS | {"temporary-directory": folder}
     settings |= (_LOCAL_SETTINGS if is_local else _REMOTE_SETTINGS) | ({} if shows_pages else _NO_PAGES)
     before = tempfile.tempdir
     tempfile.tempdir = folder  # of job scripts and certificates

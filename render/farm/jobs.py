@@ -75,6 +75,7 @@ class Outcome:
     attributes : provenance of the rendered files.
     worker : host and process.
     final : whether another command has recorded this failure, so that the scene is not tried again.
+    died : whether the worker died, so that this is not its own answer.
     grown : Dask address of this worker if it has grown too large and must be replaced, else empty.
     """
 
@@ -86,6 +87,7 @@ class Outcome:
     attributes: dict[str, str] = field(default_factory=dict)
     worker: str = field(default_factory=lambda: f"{socket.gethostname()}-{os.getpid()}")
     final: bool = False
+    died: bool = False
     grown: str = ""
 
 
@@ -169,9 +171,8 @@ def _known(job: Job, scene_id: str, claim: Claim, renderer: Renderer, inventory:
     if job.given_up_counts and state == "failed" and failure is not None:
         return Outcome(scene_id, "failed", failure.reason, final=True)
     if claim.begin(job.run_id) > MAX_ATTEMPTS:  # the scheduler sent it again after its worker died
-        return Outcome(
-            scene_id, "failed", f"the worker died {MAX_ATTEMPTS} times while it rendered this scene"
-        )
+        reason = f"the worker died {MAX_ATTEMPTS} times while it rendered this scene"
+        return Outcome(scene_id, "failed", reason, died=True)
     return None
 
 

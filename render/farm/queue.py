@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from disk import NightError
+from processes.progress import duration
 from render.farm.claims import attempts_of, claimed
 from render.farm.inventory import Inventory, known_recipe
 from render.farm.jobs import GROWTH_BYTES, MAX_ATTEMPTS, Job, Outcome, render_scenes
@@ -30,8 +31,14 @@ _WAIT_S = 1.0  # between checks whether another command has finished its scenes
 _COUNT_S = 1.0  # between counts of the workers
 _NEXT_JOB_S = 180.0  # after the last worker has left, until the next job is submitted, at most
 PATIENCE_S = 600.0  # a run without any worker ends with an error after this time
+_WORD_S = 60.0  # without any worker, until the run says so; then each time that twice the time has passed
+_MOST_KILLERS = 3  # scenes that killed their workers, if no other scene is done before
 _RESTART_S = 60  # time limit for the start of a new worker process
 _MOST_UNBEGUN_DEATHS = 5  # of workers that were given a scene and died before they began it
+_ALL_DIE = (
+    "each of the first scenes killed every worker that tried it (out of memory, or a crash of LLVM or the "
+    "GPU driver), so no others are tried: use fewer --workers or a smaller --resolution, with --again failed"
+)
 _LOST = "the connection to the Dask scheduler was lost: start again to go on"
 
 log = logging.getLogger(__name__)
@@ -62,6 +69,7 @@ class RenderQueue:
     growth_bytes : memory that a worker may grow by before it is replaced.
     patience_s : seconds to wait for a first worker; None waits without limit, because batch jobs may queue.
     submissions : which jobs the batch system takes; if it takes none any more, the run ends.
+    say : called with each sentence about missing workers.
     work : function that a worker calls with a job.
     tally : results so far.
     """
@@ -74,9 +82,10 @@ class RenderQueue:
     growth_bytes: int = GROWTH_BYTES
     patience_s: float | None = PATIENCE_S
     submissions: Submissions = field(default_factory=Submissions)
+    say: Callable[[str], object] = log.warning
     work: Callable[[Job], list[Outcome]] = render_scenes
     tally: Tally = field(default_factory=Tally)
-    _warned_of: float = -1.0  # time since when there was no worker, at the last warning
+    _word_s: float = _WORD_S  # without any worker, until the next sentence
 
     def run(self, scenes: Iterable[str]) -> Tally:
         """Render all `scenes`; returns when each is done, recorded as failed, or done by another command.
@@ -124,6 +133,9 @@ class RenderQueue:
                     slots, counted = self._slots(), time.monotonic()  # its worker may have died
                 else:
                     self._settle(outcome, failed)
+                    failed.killers += outcome.died
+                    if failed.killers == self.tally.counts.total() >= _MOST_KILLERS:
+                        raise QueueError(_ALL_DIE)
         return self.tally
 
     def _next(self, waiting: deque[str], slots: int, alone: set[str]) -> tuple[str, ...]:
@@ -138,9 +150,12 @@ class RenderQueue:
         return tuple(scene_ids)
 
     def _submit(self, scene_ids: tuple[str, ...], returned: bool) -> Future:
+        from distributed.protocol.pickle import dumps
+
         root = str(self.dataset.root.resolve())
         job = Job(root, self.settings, scene_ids, self.run_id, returned, self.growth_bytes)
-        return self.client.submit(self.work, job, pure=False, retries=0)
+        # In a form that needs no NIGHT: a worker without it would end, and not say so.
+        return self.client.submit(_portable(), dumps((self.work, job)), pure=False, retries=0)
 
     def _slots(self) -> int:
         """How many jobs may be active: one per worker process, which does one at a time."""
@@ -158,6 +173,7 @@ class RenderQueue:
         if self.client.status != "running":
             raise QueueError(_LOST)
         if self._workers():
+            self._word_s = _WORD_S
             return time.monotonic()
         jobs, waited_s = self.submissions, time.monotonic() - since
         none_left = not jobs.pending and not jobs.unfinished
@@ -166,18 +182,28 @@ class RenderQueue:
                 f"the batch system takes no job ({jobs.refusals[-1]}): correct the --cluster "
                 "file, or the system's settings here"
             )
-        if waited_s > PATIENCE_S and self._warned_of != since and jobs.unfinished:
-            self._warned_of = since
-            log.warning(
-                "no worker for %.0f minutes, with %d jobs submitted: see the queue of the batch system, "
-                "and the logs of the jobs",
-                *(waited_s / 60, len(jobs.unfinished)),
-            )
         if self.patience_s is not None and waited_s > self.patience_s:
             raise QueueError(
                 f"no worker has started within {self.patience_s / 60:.0f} minutes: see the workers' logs"
             )
+        if waited_s > self._word_s:
+            self._word_s *= 2
+            self.say(self._about_no_worker(waited_s))
         return since
+
+    def _about_no_worker(self, waited_s: float) -> str:
+        if jobs := len(self.submissions.unfinished):
+            where = (
+                f", with {jobs} jobs submitted: see the queue of the batch system, and the logs of the jobs"
+            )
+        elif self.patience_s is not None:
+            where = (
+                ": start one, or see the logs of those that were started; without one, the run ends after "
+                f"{duration(self.patience_s)}"
+            )
+        else:
+            where = ", and no job submitted yet"
+        return f"no worker for {duration(waited_s)}{where}"
 
     def _answers(self, future: Future, scene_ids: tuple[str, ...], failed: _Failures) -> list[Outcome]:
         from distributed import KilledWorker
@@ -205,7 +231,7 @@ class RenderQueue:
             return done
         failed.deaths[scene_id] += 1
         reason = "its worker process died (out of memory, or a crash of LLVM or the GPU driver)"
-        return Outcome(scene_id, "failed", reason, f"{text}\n", worker=worker)
+        return Outcome(scene_id, "failed", reason, f"{text}\n", worker=worker, died=True)
 
     def _done_before_death(self, scene_id: str, worker: str) -> Outcome | None:
         """The answer for a worker that died after it had written all files of the scene; None if it had not.
@@ -255,12 +281,29 @@ class RenderQueue:
 
 @dataclass
 class _Failures:
-    """How often each scene failed: with an answer, or because its worker died."""
+    """How often each scene failed: with an answer, or because its worker died.
+
+    `killers` are the scenes that were given up because of the latter.
+    """
 
     answers: Counter[str] = field(default_factory=Counter)
     deaths: Counter[str] = field(default_factory=Counter)
+    killers: int = 0
 
     @property
     def known(self) -> set[str]:
         """The scenes that failed."""
         return {*self.answers, *self.deaths}
+
+
+def _portable() -> Callable[[bytes], list[Outcome]]:
+    """A function that does a packed job. Dask sends a function that is made in another with all its code."""
+
+    def do(packed: bytes) -> list[Outcome]:
+        from distributed.protocol.pickle import loads
+
+        work, job = loads(packed)
+        outcomes: list[Outcome] = work(job)
+        return outcomes
+
+    return do

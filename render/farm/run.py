@@ -91,7 +91,7 @@ def render_dataset(
             plan = _checked_plan(dataset, settings, found, options, logged(say))
             record_rendering(dataset, settings, whole, finished=False)
             try:
-                tally = _work(dataset, settings, found.todo, options)
+                tally = _work(dataset, settings, found.todo, options, logged(say))
             except QueueError:
                 if renders.is_dir():  # a deleted dataset must not come back
                     record_rendering(dataset, settings, whole, finished=True)
@@ -201,7 +201,7 @@ def _checked_plan(
 
 def _refuse_device(settings: RenderSettings, options: RunOptions) -> None:
     """`BackendError` if this machine must render and cannot."""
-    if not (options.scheduler or options.cluster_file):
+    if options.scheduler is None and options.cluster_file is None:
         select_variant(settings.device)
 
 
@@ -235,7 +235,13 @@ def _grouped(dataset: Dataset, todo: Sequence[str]) -> list[str]:
     return [scene_id for group in groups for scene_id in sorted(group, key=roughness)]
 
 
-def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], options: RunOptions) -> Tally:
+def _work(
+    dataset: Dataset,
+    settings: RenderSettings,
+    todo: Sequence[str],
+    options: RunOptions,
+    say: Callable[[str], object],
+) -> Tally:
     run_id, submissions = secrets.token_hex(8), Submissions()
     connection = connected(
         workers=min(options.workers, len(todo)) if options.workers else None,
@@ -260,8 +266,8 @@ def _work(dataset: Dataset, settings: RenderSettings, todo: Sequence[str], optio
                 if record is not None:
                     inventory.remember(outcome.scene_id, record)
 
-        queue = RenderQueue(client, dataset, settings, run_id, note, options.growth_bytes)
-        if options.cluster_file:
+        queue = RenderQueue(client, dataset, settings, run_id, note, options.growth_bytes, say=say)
+        if options.cluster_file is not None:
             queue.patience_s, queue.submissions = None, submissions
         try:
             return queue.run(_grouped(dataset, todo))

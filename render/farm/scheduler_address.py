@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import socket
 import ssl
 import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from render.farm.dask_settings import ClusterError
 
@@ -15,6 +18,7 @@ _LAST_PORT = 65535
 _PAUSE_S = 0.2
 _GREETING = 8  # bytes: a scheduler says first how long its first message is
 _LONGEST_GREETING = 2**16
+_OTHERS = ("Worker", "Nanny")  # that answer like a scheduler, but have another address
 
 
 def check_address(scheduler: str) -> None:
@@ -30,7 +34,7 @@ def check_address(scheduler: str) -> None:
 
 
 def check_answer(scheduler: str) -> None:
-    """Connect to an address, with Dask's own certificates where it begins with ``tls://``, and listen.
+    """Connect to an address, with Dask's own certificates where it begins with ``tls://``, and ask who it is.
 
     Raises
     ------
@@ -48,6 +52,32 @@ def check_answer(scheduler: str) -> None:
             time.sleep(_PAUSE_S)  # the scheduler may be starting
     if not 0 < int.from_bytes(greeting, "little") < _LONGEST_GREETING:
         raise _no_scheduler(scheduler, "another program answers")
+    try:
+        with ThreadPoolExecutor(1) as pool:  # a notebook has a loop of its own in this thread
+            kind = pool.submit(asyncio.run, _kind(scheduler)).result()
+    except TimeoutError:
+        raise _no_scheduler(scheduler, f"no answer within {CONNECT_S} s") from None
+    except Exception as error:  # of any kind: Dask reads what another program says
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise _no_scheduler(scheduler, f"another program answers: {what}") from None
+    if kind in _OTHERS:
+        raise _no_scheduler(scheduler, f"this is the address of a Dask {kind.lower()}")
+
+
+async def _kind(scheduler: str) -> str:
+    """What of Dask answers: ``Scheduler``, ``Worker``, ``Nanny``."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    async def asked() -> str:
+        comm = await connect(scheduler, CONNECT_S, **Security().get_connection_args("client"))
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            return str((await comm.read())["type"])
+        finally:
+            comm.abort()
+
+    return await asyncio.wait_for(asked(), CONNECT_S)
 
 
 def _greeting(scheduler: str, context: ssl.SSLContext | None) -> bytes:
@@ -63,11 +93,17 @@ def _certificates(scheduler: str) -> ssl.SSLContext | None:
 
     if not scheduler.startswith("tls:"):
         return None
+    security = Security()
+    files = (security.tls_ca_file, security.tls_client_cert, security.tls_client_key)
     try:
-        context: ssl.SSLContext | None = Security().get_connection_args("client")["ssl_context"]
+        for file in files:  # OpenSSL does not say which one it cannot read
+            if file is not None and "\n" not in file:  # otherwise it is the certificate itself
+                Path(file).open("rb").close()
+        context: ssl.SSLContext | None = security.get_connection_args("client")["ssl_context"]
     except OSError as error:  # a file is missing or damaged
+        why = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         raise ClusterError(
-            f"the certificates of Dask's setting distributed.comm.tls cannot be used: {error}"
+            f"the certificates of Dask's setting distributed.comm.tls cannot be used: {why}"
         ) from None
     if context is None:
         raise ClusterError(

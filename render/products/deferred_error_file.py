@@ -1,18 +1,20 @@
-"""A file for the HDF5 library that defers errors of writing.
+"""A file for the HDF5 library that defers errors of writing, and signals.
 
-HDF5 can crash the process when it cannot write, as on a full disk. Here the first error is kept, and what
-found no room on the disk is held in memory, so that HDF5 reads back what it wrote and closes the file as
-usual. The writer asks for the error now and then, and stops.
+HDF5 can crash the process when it cannot write, as on a full disk or when a signal raises an exception. Here
+the first error is kept, and what found no room on the disk is held in memory, so that HDF5 reads back what it
+wrote and closes the file as usual. The writer asks for the error now and then, and stops.
 """
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from processes import deferred_signals
 
 if TYPE_CHECKING:
     import h5py
@@ -108,10 +110,19 @@ class DeferredErrorFile(io.RawIOBase):
 
 
 @contextmanager
-def hdf5_file(path: Path) -> Iterator[tuple[h5py.File, DeferredErrorFile]]:
-    """A new HDF5 file and the stream that it is written to; `OSError` at the end if a write failed."""
+def hdf5_file(path: Path) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
+    """A new HDF5 file, and a function to call between two steps of writing.
+
+    The function raises the `OSError` of a write that failed, and handles signals. So does the block's end.
+    """
     import h5py
 
-    with DeferredErrorFile(path) as stream, h5py.File(stream, "w") as file:
-        yield file, stream
-    stream.raise_error()
+    with deferred_signals() as handle_signals:
+        with DeferredErrorFile(path) as stream, h5py.File(stream, "w") as file:
+
+            def stop_if_needed() -> None:
+                handle_signals()
+                stream.raise_error()
+
+            yield file, stop_if_needed
+        stream.raise_error()

@@ -44,14 +44,14 @@ class Rows:
     Attributes
     ----------
     file : the file, which is open.
-    raise_error : raises the first `OSError` of writing, if there was one (`DeferredErrorFile`).
+    stop_if_needed : raises an `OSError` of writing, and handles signals (`hdf5_file`).
     most : number of rows that there may be.
     entries, roughness : of the scenes that were added.
     shapes : shape of each array that has a row for each scene, by name, after `finish`.
     """
 
     file: h5py.File
-    raise_error: Callable[[], None]
+    stop_if_needed: Callable[[], None]
     most: int
     entries: list[SceneEntry] = field(default_factory=list)
     roughness: list[float] = field(default_factory=list)
@@ -77,7 +77,7 @@ class Rows:
         self.file["scene"][row], self.file["render"][row] = scene.scene_text, scene.render_text
         self.entries.append(entry)
         self.roughness.append(scene.scene.relay_wall.roughness or NO_ROUGHNESS)
-        self.raise_error()
+        self.stop_if_needed()
 
     def finish(
         self, frequencies_hz: Sequence[float], documents: Mapping[str, Any], licence: str | None
@@ -150,8 +150,8 @@ class Rows:
 @contextmanager
 def new_rows(path: Path, most: int) -> Iterator[Rows]:
     """A new file for at most so many rows; `OSError` at the end if it could not be written."""
-    with hdf5_file(path) as (file, stream):
-        yield Rows(file, stream.raise_error, most)
+    with hdf5_file(path) as (file, stop_if_needed):
+        yield Rows(file, stop_if_needed, most)
 
 
 def _describe(array: h5py.Dataset, axes: str, units: str, description: str) -> None:

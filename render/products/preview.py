@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from disk import NightError, inside, whole_file, write_text
 from disk.plain_file import read_plain
+from itof.pictures.png import save_png
 from render.products.card import (
     CARD_FILE,
     CONTACT_SHEET,
@@ -144,5 +145,5 @@ def meshes_in(dataset: Dataset, ids: Sequence[str]) -> dict[str, UserMesh]:
 
 def _write_figure(file: Path, figure: Figure) -> Path:
     with whole_file(file) as partial:
-        figure.savefig(partial, format="png", dpi=_DOTS_PER_INCH)
+        save_png(figure, partial, _DOTS_PER_INCH)
     return file

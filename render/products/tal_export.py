@@ -68,7 +68,7 @@ def export_tal(dataset: Dataset, scene_id: str, out: PathLike) -> None:
     scene = rendered_scene(dataset, scene_id)
     with open_transient(dataset, scene_id) as reader:
         fields = _geometry(scene, reader.layout)
-        with exported_file(out) as partial, hdf5_file(partial) as (file, stream):
+        with exported_file(out) as partial, hdf5_file(partial) as (file, stop_if_needed):
             for name, value in fields.items():
                 file[name] = value
             for name, members, chosen in (
@@ -84,7 +84,7 @@ def export_tal(dataset: Dataset, scene_id: str, out: PathLike) -> None:
             file["t_accounts_first_and_last_bounces"] = True
             file["scene_info"] = _scene_info(dataset, scene, reader)
             for _ in _written_bins(file, reader):
-                stream.raise_error()  # on a full disk, before the next block
+                stop_if_needed()
 
 
 def _written_bins(file: h5py.File, reader: TransientReader) -> Iterator[int]:

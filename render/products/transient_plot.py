@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from disk import PathLike
 from itof import SPEED_OF_LIGHT, WIDEST_REACH_BINS, TransientLayout, TransientReader
+from itof.pictures.png import save_png
 from render.products.conversion import ExportError, exported_file, open_transient
 from render.products.rendered_scene import rendered_scene
 from render.products.transient_parts import first_hidden_bin, hidden_start_m
@@ -104,7 +105,7 @@ def write_transient_plot(
     found = pixel_transient(dataset, scene_id, pixel)
     figure = transient_figure(found, scene_id)
     with exported_file(out) as partial:
-        figure.savefig(partial, format="png", dpi=_DOTS_PER_INCH)
+        save_png(figure, partial, _DOTS_PER_INCH)
     return found
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import h5py
 import numpy as np
 
 from disk import sha256_of
+from processes import deferred_signals
 
 _CHUNK_BYTES = 2**20
 _LEVEL = 5  # of Zstandard
@@ -25,7 +27,8 @@ def copy_to_zarr(file: Path, folder: Path) -> None:
     """Write all of the HDF5 file `file` into the empty folder `folder`; `OSError` on a full disk."""
     import zarr
 
-    with h5py.File(file) as source:
+    # A thread of zarr writes, and would go on after an exception in this one.
+    with deferred_signals() as handle_signals, h5py.File(file) as source:
         root = zarr.open_group(folder, mode="a", zarr_format=2)
         root.attrs.update({name: _plain(value) for name, value in source.attrs.items()})
         # Not in a callback of `visititems`: it holds h5py's lock, and a thread of zarr that collects garbage
@@ -34,8 +37,8 @@ def copy_to_zarr(file: Path, folder: Path) -> None:
         source.visit(names.append)
         for name in names:
             if isinstance(item := source[name], h5py.Dataset):
-                _copy_array(root, name, item)
-    zarr.consolidate_metadata(root.store)
+                _copy_array(root, name, item, handle_signals)
+        zarr.consolidate_metadata(root.store)
 
 
 def digest_of_folder(folder: Path) -> tuple[int, str]:
@@ -48,7 +51,7 @@ def digest_of_folder(folder: Path) -> tuple[int, str]:
     return sum((folder / name).stat().st_size for name in names), hashlib.sha256(lines.encode()).hexdigest()
 
 
-def _copy_array(root: Any, name: str, source: h5py.Dataset) -> None:
+def _copy_array(root: Any, name: str, source: h5py.Dataset, handle_signals: Callable[[], None]) -> None:
     """Copy one array chunk by chunk."""
     from numcodecs import Shuffle, Zstd
 
@@ -72,6 +75,7 @@ def _copy_array(root: Any, name: str, source: h5py.Dataset) -> None:
         return
     for start in range(0, count, rows):
         array[start : start + rows] = values[start : start + rows]
+        handle_signals()
 
 
 def _plain(value: Any) -> Any:

@@ -6,12 +6,16 @@ come first.
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import tempfile
+from contextlib import suppress
 from functools import cache
+from pathlib import Path
 
 from disk.night_error import NightError
+from processes.deferred_signals import deferred_signals
 from processes.silence import silenced
 
 
@@ -25,7 +29,7 @@ STDOUT, STDERR = 1, 2  # Blender's C code prints to these file descriptors
 _SETTINGS = tempfile.TemporaryDirectory(prefix="night-blender-")
 os.environ.setdefault("BLENDER_USER_RESOURCES", _SETTINGS.name)
 try:
-    with silenced(STDOUT):
+    with deferred_signals(), silenced(STDOUT):  # Blender loses an exception that comes while it starts
         import bpy
 except ImportError as error:
     raise BlenderError(
@@ -36,10 +40,18 @@ except ImportError as error:
 # with the exit status; Python has run its own exit handlers and flushed its files before.
 _LIBC = ctypes.CDLL(None)
 _LIBC.on_exit(_LIBC._exit, None)
-with silenced(STDOUT):  # bpy makes these modules available
+with deferred_signals(), silenced(STDOUT):  # bpy makes these modules available
     import bmesh
     from mathutils import Matrix
     from mathutils import Vector as BlenderVector
+
+
+@atexit.register
+def _remove_session_folder() -> None:
+    """Remove Blender's folder for temporary files, which that clean-up would have removed."""
+    with suppress(OSError):  # it is not empty, or there is none
+        Path(bpy.app.tempdir).rmdir()
+
 
 __all__ = ["STDERR", "STDOUT", "BlenderVector", "Matrix", "bmesh", "bpy", "empty_blender"]
 
@@ -50,5 +62,5 @@ def empty_blender() -> None:
 
     Runs once in a process: a second reset would also remove the meshes of another `BlenderMaker`.
     """
-    with silenced(STDOUT):
+    with deferred_signals(), silenced(STDOUT):
         bpy.ops.wm.read_factory_settings(use_empty=True)

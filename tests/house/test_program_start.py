@@ -190,12 +190,15 @@ POOR = (
         *(pytest.param([line], id=line, marks=pytest.mark.thorough) for line in POOR),
     ],
 )
-def test_every_command_works_in_a_poor_environment(tmp_path, lines):
+def test_every_command_works_in_a_poor_environment_and_leaves_only_caches(tmp_path, monkeypatch, lines):
+    (temporary := tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
     for command, line in zip(every_command(tmp_path), itertools.cycle(lines), strict=False):
         done = shell(line, *command)
         assert done.returncode == 0, (command, line, done.stdout, done.stderr)
         assert "Traceback" not in done.stdout + done.stderr
         assert not done.stderr or "2>" not in line
+        assert {place.name for place in temporary.iterdir()} <= {f"night-{os.getuid()}"}, command
 
 
 @pytest.mark.thorough

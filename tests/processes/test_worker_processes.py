@@ -1,9 +1,11 @@
 """Workers that a broken pool leaves behind."""
 
+import signal
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker, util
 
 import pytest
 from render_runs import wait_for
@@ -45,3 +47,25 @@ def test_a_worker_that_dies_while_the_next_one_starts_breaks_the_pool(monkeypatc
         monkeypatch.setattr(pool, "_spawn_process", kill_the_first)
         with pytest.raises(BrokenProcessPool):
             submit(pool, time.sleep, 600)
+
+
+def start_a_worker():
+    with worker_pool(1, id) as pool:
+        submit(pool, sum, (1, 2))
+
+
+def test_a_signal_while_a_worker_starts_leaves_the_worker_what_it_starts_with(monkeypatch, capfd):
+    def signalled(*arguments, spawn=util.spawnv_passfds):
+        pid = spawn(*arguments)
+        signal.raise_signal(signal.SIGTERM)  # the new process is there, and has not been told what to do
+        return pid
+
+    resource_tracker.ensure_running()  # another process, which is started in the same way
+    monkeypatch.setattr(util, "spawnv_passfds", signalled)
+    before = signal.signal(signal.SIGTERM, lambda code, _: sys.exit(128 + code))
+    try:
+        with pytest.raises(SystemExit):
+            start_a_worker()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert capfd.readouterr().err == ""

@@ -5,6 +5,7 @@ There is no SLURM here. `sbatch` and `scancel` are small stand-ins that start an
 
 import gc
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -308,13 +309,24 @@ def test_a_run_ends_when_the_batch_system_takes_no_job_any_more(pending, accepte
         assert queue._checked_idle(since) == since
 
 
-def test_a_run_whose_jobs_start_no_worker_says_so_once(caplog):
-    queue = RenderQueue(NoWorkers(), None, None, "run", lambda outcome, final: None)
-    queue.patience_s = None
-    queue.submissions = Submissions(0, 2, {1, 2})
-    since = time.monotonic() - 601
-    for _ in range(3):
-        assert queue._checked_idle(since) == since
-    assert [record.message[:45] for record in caplog.records] == [
-        "no worker for 10 minutes, with 2 jobs submitt"
-    ]
+@pytest.mark.parametrize(
+    ("submissions", "words"),
+    [
+        (
+            None,
+            "start one, or see the logs of those that were started; without one, the run ends after 1.7 h",
+        ),
+        (Submissions(0, 2, {1, 2}), "with 2 jobs submitted: see the queue of the batch system"),
+        (Submissions(1), "and no job submitted yet"),
+    ],
+)
+def test_a_run_without_workers_says_so_after_a_minute_and_then_ever_less_often(submissions, words):
+    said = []
+    queue = RenderQueue(NoWorkers(), None, None, "run", lambda outcome, final: None, say=said.append)
+    queue.patience_s = 6000 if submissions is None else None
+    queue.submissions = submissions or Submissions()
+    for waited_s in range(0, 5000, 10):
+        queue._checked_idle(time.monotonic() - waited_s)
+    times = [re.match(r"no worker for (\d+ \w+)", sentence)[1] for sentence in said]
+    assert times == ["60 s", "2 min", "4 min", "8 min", "16 min", "32 min", "64 min"]
+    assert all(words in sentence for sentence in said)

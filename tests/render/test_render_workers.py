@@ -8,8 +8,12 @@ import re
 import shutil
 import signal
 import time
+from concurrent.futures import Future
+from types import SimpleNamespace
 
 import pytest
+from distributed import KilledWorker
+from distributed.protocol.pickle import loads
 from night_commands import night, night_here
 from render_runs import (
     SETTINGS,
@@ -24,7 +28,7 @@ from render_runs import (
 
 from render.farm.clusters import connected
 from render.farm.jobs import Outcome, render_scenes
-from render.farm.queue import RenderQueue
+from render.farm.queue import QueueError, RenderQueue
 from render.farm.run import RunOptions, render_dataset
 from render.options import ManyLightOptions
 from render.settings import RenderSettings
@@ -209,3 +213,39 @@ def test_a_worker_that_is_slow_to_come_back_is_waited_for(three_missing):
     output, errors = process.communicate()
     assert process.returncode == 0, errors
     assert output.startswith("3 scenes rendered, 4 were there")
+
+
+class DyingWorkers:
+    """A client whose workers do the first jobs as they should, and die of all others."""
+
+    status = "running"
+
+    def __init__(self, done):
+        self.done = done
+
+    def nthreads(self):
+        return {"tcp://one": 1}
+
+    def submit(self, work, packed, **_):
+        future = Future()
+        future.release = lambda: None
+        job = loads(packed)[1]
+        if self.done:
+            self.done -= 1
+            future.set_result([Outcome(each, "rendered") for each in job.scene_ids])
+        else:
+            future.set_exception(KilledWorker("a job", SimpleNamespace(address="tcp://one"), 0))
+        return future
+
+
+@pytest.mark.parametrize(("done", "given_up"), [(0, 3), (1, 6)])
+def test_workers_that_die_of_each_of_the_first_scenes_end_the_run(unrendered, done, given_up):
+    dataset = open_dataset(unrendered)
+    settings = RenderSettings(product="both", options=ManyLightOptions(), device="cpu")
+    queue = RenderQueue(DyingWorkers(done), dataset, settings, "a run", lambda *_: None)
+    if done:
+        queue.run(dataset.ids())
+    else:
+        with pytest.raises(QueueError, match="use fewer --workers or a smaller --resolution"):
+            queue.run(dataset.ids())
+    assert len(queue.tally.failures) == given_up

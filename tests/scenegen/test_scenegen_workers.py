@@ -15,13 +15,16 @@ from scenegen.making.generation import generate
 
 
 @pytest.mark.long
-def test_one_and_three_processes_write_the_same_bytes(maker, tmp_path):
+def test_one_and_three_processes_write_the_same_bytes_and_nothing_else(maker, tmp_path):
     generate(tmp_path / "one", of_seed_5(50), maker, lambda: None)  # three chunks of 16, and two scenes
-    done = night("night-gen", "scenes", tmp_path / "three", "--count", 50, "--seed", 5, "--workers", 3)
+    (temporary := tmp_path / "temporary").mkdir()
+    arguments = ("scenes", tmp_path / "three", "--count", 50, "--seed", 5, "--workers", 3)
+    done = night("night-gen", *arguments, TMPDIR=str(temporary))
     assert done.returncode == 0, done.stderr
     assert all(line.startswith("scenes: ") for line in done.stderr.splitlines())  # progress, and nothing else
     assert done.stdout.startswith(f"50 scenes in {tmp_path / 'three'}: ")
     assert contents(tmp_path / "three") == contents(tmp_path / "one")
+    assert list(temporary.iterdir()) == []
 
 
 @pytest.mark.long
