@@ -17,7 +17,7 @@ from render.transport.lights.light_pass import Lights, light_density
 from render.transport.lights.run_statistics import relative_bound
 from render.transport.many_light import LightWorkshop, hidden_rule
 from render.transport.method import View
-from render.transport.passes.direct_pass import seen_surfaces
+from render.transport.passes.direct_samples import seen_surfaces
 from render.transport.passes.gather_pass import gather_runs
 
 TIMES = 16  # as many lights as the image that is judged has

@@ -43,7 +43,7 @@ def test_phasors_and_transients_agree_where_the_middle_wall_enters_the_picture(v
 
 @pytest.mark.parametrize(("fov_deg", "roughness"), [(67, 0.5), pytest.param(90, 0.3, marks=pytest.mark.long)])
 def test_pixels_with_an_edge_are_averages_over_64_by_64_nodes(variant, tmp_path, fov_deg, roughness):
-    from render.transport.passes.direct_pass import direct_phasors_of, sample_direct
+    from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
     exposure = expose(wide_corner(fov_deg, roughness).load(tmp_path), variant, lights=64, layout=LAYOUT)
     image, edges = exposure.phasors(), exposure._direct.edges
@@ -64,7 +64,7 @@ def test_pixels_with_an_edge_are_averages_over_64_by_64_nodes(variant, tmp_path,
 @pytest.mark.parametrize("fov_deg", [67, pytest.param(90, marks=pytest.mark.long)])
 def test_the_direct_return_of_a_pixel_with_an_edge_has_the_area_before_it(variant, tmp_path, fov_deg):
     # Against one-dimensional Gauss quadrature up to the edge, which is vertical: its place is known.
-    from render.transport.passes.direct_pass import direct_phasors_of, sample_direct
+    from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
     exposure = expose(wide_corner(fov_deg).load(tmp_path), variant, lights=16, layout=LAYOUT)
     image, edges = exposure.phasors(), exposure._direct.edges
@@ -90,7 +90,7 @@ def test_the_hidden_part_of_a_wide_picture_agrees_with_every_pixel_computed(vari
     exposure = expose(wide_corner(75).load(tmp_path), variant, lights=256, layout=LAYOUT)
     found = exposure.phasors().hidden
     field = replace(exposure.field, lattice=None)
-    exact = field.image(exposure._grid, hidden_rule(LAYOUT.width), exposure._direct)
+    exact = field.image(exposure._grid, hidden_rule(LAYOUT.width), exposure._direct).phasors
     assert np.all(relative(found, exact) < 0.25 * exposure.error * 1.5)
 
 
