@@ -42,6 +42,7 @@ _CHECKED_PIXELS = 1024  # for the change with twice the nodes, of which about 1e
 # time bins. Pixels with edges have them in phasors, too.
 _BIN_NODES, _FEWEST_BIN_NODES, _MOST_BIN_NODES = 1280, 8, 32
 _SLIVER = 1e-9  # of a pixel
+_FLOAT32 = 1e-7  # of the film
 FINEST_ERROR = 1e-6  # 0.5 % of the faintest hidden signal
 
 NodesOf = Callable[
@@ -87,21 +88,18 @@ def gather_direct(
     allowed : how far it may change with twice the nodes, relative to it. None: it is the whole signal; then
         edges within a surface have no more nodes than other places.
     """
-    order, changed = direct_order(grid.width, frequencies_hz), 0.0
+    measure, changed = _Measure(scene, frequencies_hz, seed), np.zeros(len(frequencies_hz))
+    order = direct_order(grid.width, frequencies_hz)
     if allowed is not None:
-        order, changed = _enough_nodes(scene, grid, order, seed, allowed)
+        order, changed = _enough_nodes(measure, grid, order, allowed)
     rule = gauss_rule(order)
     blocks = [_block(scene, grid, rows, rule, frequencies_hz, seed) for rows in grid.blocks(rule)]
     phasors, low, high, *ends = (np.concatenate(each) for each in zip(*blocks, strict=True))
     flat = phasors.reshape(-1, len(frequencies_hz))
-    measure = _Measure(scene, frequencies_hz, seed)
-    walls = (
-        None if len(np.unique(np.stack([low, high])[np.stack([low, high]) > 0])) > 1 else seen_walls(scene)
-    )
+    walls = seen_walls(scene) if len(np.union1d(np.union1d(low, high), [0])) <= 2 else None
     if walls is None:
         surface, edges = _divided(scene, grid, low, high, edge_divisions)
-        samples = sample_direct(scene, edges.points, seed)
-        missed = 0.0
+        samples, missed = sample_direct(scene, edges.points, seed), 0.0
     else:
         surface, cut = _cut_by_walls(walls, grid, low, high)
         found = measure.nodes(
@@ -110,7 +108,7 @@ def gather_direct(
             max(order, bin_order(grid.width)),
         )
         edges = EdgePixels(cut, found.points, found.weights, found.pixel, np.zeros(0, np.int64))
-        samples, missed = found.samples, found.missed
+        samples, missed = found.samples, float(np.hypot(found.missed, _rounding(found, grid.width)))
     z = measure.phasors(samples, edges.weights)
     flat[edges.pixels] = group_sums(z, edges.pixel, len(flat))[edges.pixels]
     lit = np.flatnonzero((surface.ravel() > 0) & (ends[3].ravel() > 0))
@@ -180,6 +178,13 @@ class _Measure:
         return seen, PixelRange(*ends).change(self.frequencies_hz, order)
 
 
+def _rounding(edges: _Nodes, width: int) -> float:
+    """Norm of the error of pixels with edges, of which walls and rays in float32 know the place."""
+    brightest = np.zeros(1 + int(edges.pixel.max(initial=0)))
+    np.maximum.at(brightest, edges.pixel, edges.samples.radiance)
+    return float(_FLOAT32 * width * np.linalg.norm(brightest))
+
+
 def bin_order(width: int) -> int:
     """Nodes in x and in y of the direct return over time, for pixels of an image of this width."""
     return min(max(_BIN_NODES // width, _FEWEST_BIN_NODES), _MOST_BIN_NODES)
@@ -241,38 +246,58 @@ def direct_order(width: int, frequencies_hz: tuple[float, ...]) -> int:
     return int(min(needed_order(np.array([change]))[0], _MOST_NODES))
 
 
-def _enough_nodes(scene: mi.Scene, grid: Grid, order: int, seed: int, allowed: float) -> tuple[int, float]:
-    """`order`, doubled until the brightness of pixels no longer changes; and how far it still does.
+def _enough_nodes(
+    measure: _Measure, grid: Grid, order: int, allowed: float
+) -> tuple[int, NDArray[np.float64]]:
+    """`order`, doubled until the brightness of pixels no longer changes; (F,) how far phasors still do.
 
     `direct_order` assumes a brightness that varies slowly. The highlight of a smooth wall in wide pixels, or
-    a texture, varies faster.
+    a texture, varies faster. Phasors count where pixels need no more nodes (`PixelRange`).
     """
     count = grid.width * grid.height
     pixels = np.arange(0, count, -(-count // _CHECKED_PIXELS))
     if -(-count // _CHECKED_PIXELS) % grid.width == 0:
         pixels = pixels + np.arange(len(pixels)) % grid.width  # not one column alone
-    brightness, change = _brightness(scene, grid, pixels, order, seed), 0.0
-    while order < _MOST_NODES:
+    coarse = _means(measure, grid, pixels, order)
+    while True:
         finer = min(2 * order, _MOST_NODES)
-        better = _brightness(scene, grid, pixels, finer, seed)
-        known = np.isfinite(brightness) & np.isfinite(better)
-        norm = np.linalg.norm(better[known])
-        change = float(np.linalg.norm((better - brightness)[known]) / norm) if norm > 0 else 0.0
-        if change <= allowed:
-            break
-        order, brightness = finer, better
-    return order, change
+        fine = _means(measure, grid, pixels, finer)
+        known = np.isfinite(coarse[0]) & np.isfinite(fine[0])
+        enough = _change(coarse[0][known], fine[0][known]) <= allowed
+        if enough or finer == _MOST_NODES:
+            steady = known & coarse[2]
+            return (order if enough else finer), _change(coarse[1][steady], fine[1][steady])
+        order, coarse = finer, fine
 
 
-def _brightness(
-    scene: mi.Scene, grid: Grid, pixels: NDArray[np.int64], order: int, seed: int
-) -> NDArray[np.float64]:
-    """Mean radiance of the direct return in some pixels; NaN where the nodes see several surfaces."""
+def _means(
+    measure: _Measure, grid: Grid, pixels: NDArray[np.int64], order: int
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.bool_]]:
+    """Of some pixels: mean radiance (P,) and phasors (P, F), and (P,) whether the nodes are enough for them.
+
+    The radiance is NaN where the nodes see several surfaces.
+    """
     rule = gauss_rule(order)
-    samples = sample_direct(scene, grid.points(pixels, rule.pixel_nodes).reshape(-1, 2), seed)
-    surface = samples.surface.reshape(len(pixels), -1)
-    mean = samples.radiance.reshape(len(pixels), -1).astype(float) @ rule.pixel_weights
-    return np.where((surface == surface[:, :1]).all(axis=1), mean, np.nan)
+    samples = sample_direct(measure.scene, grid.points(pixels, rule.pixel_nodes).reshape(-1, 2), measure.seed)
+    radiance, opl_m, surface = (
+        each.reshape(len(pixels), -1) for each in (samples.radiance, samples.opl_m, samples.surface)
+    )
+    mean = np.where(
+        (surface == surface[:, :1]).all(axis=1), radiance.astype(float) @ rule.pixel_weights, np.nan
+    )
+    phasors = measure.phasors(samples, np.tile(rule.pixel_weights, len(pixels)))
+    steady = (radiance > 0).all(axis=1)
+    ends = (end(each, axis=1) for each in (opl_m[steady], radiance[steady]) for end in (np.min, np.max))
+    change = PixelRange(*(each.astype(float) for each in ends)).change(measure.frequencies_hz, order)
+    steady[steady] = needed_order(change) <= order
+    return mean, phasors.reshape(len(pixels), rule.count, -1).sum(axis=1), steady
+
+
+def _change(coarse: NDArray[Any], fine: NDArray[Any]) -> NDArray[np.float64]:
+    """Norm of the change of values over pixels, relative to their own."""
+    norm, off = np.linalg.norm(fine, axis=0), np.linalg.norm(fine - coarse, axis=0)
+    change: NDArray[np.float64] = np.divide(off, norm, out=np.zeros_like(norm), where=norm > 0)
+    return change
 
 
 def _block(
