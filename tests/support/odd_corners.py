@@ -13,6 +13,7 @@ from scenegen import preset_from_dict
 from scenegen.geometry_check import refusal
 from scenegen.mitsuba_description import seen_description
 from scenegen.sampling import SamplingError, sample_valid_scene
+from scenegen.shapes import PRIMITIVES
 
 LEAST_GAP_M = 0.03  # between the relay wall and the middle wall, of random corners
 PROJECTOR_MARGIN_DEG = 0.001  # as night-gen makes it
@@ -67,17 +68,19 @@ class OddCorner(Corner):
 
 
 def random_corner(seed, **camera):
-    """A scene of a random corner that a preset may have: camera, walls, roll, gap and material vary.
+    """A scene of a random corner that a preset may have: objects, camera, roll, walls, gap and material.
 
     `camera` are keys of the preset's table that are not drawn.
     """
     rng = np.random.default_rng([seed, 7])
     u = rng.uniform
+    shapes = np.random.default_rng([seed, 8]).permutation(PRIMITIVES)[:2].tolist()
     while True:
         roll_deg = float(rng.choice([0, 90, -90, u(-110, 110)]))
         diffuse = {"material": "diffuse", "reflectance": 0.9, "least_reflectance": 0.3}
         drawn = {
             "dataset": {"count": 1, "seed": int(rng.integers(1e6))},
+            "hidden_object": {"shapes": shapes, "composite_fraction": float(seed % 4 == 3)},
             "camera": {
                 "horizontal_fov_deg": u(40, 110),
                 "location_m": [1 + u(-0.3, 0.3), -1 + u(-0.3, 0.3), 1.65 + u(-0.3, 0.3)],

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _COARSEST = 10  # cells in the width of the film
 _CHECKS = 128  # points between the nodes, at which the interpolation is checked
 _SHARE = 0.25  # of the wanted error, for the interpolation
+_UNSURE = 4.0  # error over the change from linear to quadratic: shadows of few lights are no polynomials
 _CHECKED_PIXELS, _MOST_NODES = 256, 8  # for the nodes of whole pixels
 
 
@@ -74,8 +75,8 @@ class HiddenField:
         whole = self._carrier(chosen.seen_points)
         linear, quadratic = chosen.means(self._exact(chosen.points), self._carrier(chosen.points), whole)
         z += group_sums(quadratic, chosen.pixels, len(z))
-        missed = np.linalg.norm(group_sums(quadratic - linear, chosen.pixels, len(z)), axis=0)
-        return HiddenImage(z.reshape(grid.height, grid.width, -1), missed)
+        change = np.linalg.norm(group_sums(quadratic - linear, chosen.pixels, len(z)), axis=0)
+        return HiddenImage(z.reshape(grid.height, grid.width, -1), _UNSURE * change)
 
     def enough_nodes(
         self, grid: Grid, rule: PixelRule, direct: DirectImage, allowed: float
