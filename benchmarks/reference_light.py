@@ -1,7 +1,8 @@
 """A reference for the hidden signal: many more lights, other random numbers, no lattice.
 
 `render_efficiency.py` and `error_coverage.py` measure true errors against it. The reference is computed
-at some pixels of an image only, at the nodes that `many-light` takes in these pixels.
+at some pixels of an image only: at the nodes that `many-light` takes in these pixels, or, in random corners,
+at nodes of its own.
 """
 
 from dataclasses import dataclass, replace
@@ -11,34 +12,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from render.transport.film.pixels import Grid
+from render.transport.film.pixels import Grid, group_sums
 from render.transport.lights.hidden_surface import read_hidden_surface
 from render.transport.lights.light_pass import Lights, light_density
 from render.transport.lights.run_statistics import relative_bound
 from render.transport.many_light import LightWorkshop, hidden_rule
 from render.transport.method import View
-from render.transport.passes.direct_pass import seen_surfaces
+from render.transport.passes.direct_samples import direct_phasors_of, sample_direct, seen_surfaces
 from render.transport.passes.gather_pass import gather_runs
+from scenegen import Scene
 
 TIMES = 16  # as many lights as the image that is judged has
 _RUNS = 8
+_DIRECT, _HIDDEN = 16, (3, 3)  # nodes along each side of whole pixels, and of the parts of the others
 _OTHER_SEEDS = 2**20  # added to the seed of the view; the benchmarks use smaller seeds
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The hidden signal at P pixels.
+    """The hidden signal at P pixels, or all light.
 
     Attributes
     ----------
     pixels : (P,) row-major indices.
     values : (P, F) phasors.
+    hidden : (P, F) phasors of the hidden part of `values`.
+    counts : (P,) for how many pixels of the image each stands.
     lights : number of lights.
     error : the reference's own error, as `many-light` would report it.
     """
 
     pixels: NDArray[np.int64]
     values: NDArray[np.complex128]
+    hidden: NDArray[np.complex128]
+    counts: NDArray[np.float64]
     lights: int
     error: float
 
@@ -47,9 +54,10 @@ class Reference:
         return image.reshape(-1, image.shape[-1])[self.pixels]
 
     def relative_errors(self, image: NDArray[np.complex128]) -> NDArray[np.float64]:
-        """(F,) true error of a hidden image (H, W, F), relative to the hidden signal."""
-        missed = np.linalg.norm(self.of(image) - self.values, axis=0)
-        return missed / np.linalg.norm(self.values, axis=0)
+        """(F,) true error of an image (H, W, F), relative to the hidden signal."""
+        share = np.sqrt(self.counts)[:, None]
+        missed = np.linalg.norm(share * (self.of(image) - self.values), axis=0)
+        return missed / np.linalg.norm(share * self.hidden, axis=0)
 
 
 def reference(scene: Any, view: View, lights: int, most_pixels: int) -> Reference:
@@ -72,7 +80,35 @@ def reference(scene: Any, view: View, lights: int, most_pixels: int) -> Referenc
     made = _lights(scene, replace(view, seed=view.seed + _OTHER_SEEDS), TIMES * lights)
     by_run = gather_runs(scene, points, view.frequencies_hz, made)
     by_run = np.einsum("rpnf,n->rpf", by_run.reshape(_RUNS, len(pixels), rule.count, -1), rule.pixel_weights)
-    return Reference(pixels, by_run.mean(axis=0), len(made), float(relative_bound(by_run).max()))
+    hidden, error = by_run.mean(axis=0), float(relative_bound(by_run).max())
+    return Reference(pixels, hidden, hidden, np.ones(len(pixels)), len(made), error)
+
+
+def corner_reference(corner: Scene, scene: Any, view: View, lights: int, most_pixels: int) -> Reference:
+    """All light of a random corner: the free parts of pixels are polygons, and all have more nodes.
+
+    Parameters
+    ----------
+    corner : the data of `scene`.
+    most_pixels : of pixels without an edge, drawn at random; all pixels with an edge are compared.
+    """
+    from batch_quadrature import free_nodes
+
+    size = (view.layout.width, view.layout.height)
+    *_, pixel, edges = free_nodes(corner, *size, 1, 1)
+    whole = np.setdiff1d(pixel, edges)
+    some = np.sort(np.random.default_rng(0).permutation(whole)[:most_pixels])
+    pixels = np.concatenate([edges, some])
+    counts = np.concatenate([np.ones(len(edges)), np.full(len(some), len(whole) / max(len(some), 1))])
+    points, weights, pixel, _ = free_nodes(corner, *size, _DIRECT, _DIRECT, pixels)
+    z = direct_phasors_of(sample_direct(scene, points, view.seed), view.frequencies_hz) * weights[:, None]
+    direct = group_sums(z, pixel, size[0] * size[1])[pixels]
+    made = _lights(scene, replace(view, seed=view.seed + _OTHER_SEEDS), TIMES * lights)
+    points, weights, pixel, _ = free_nodes(corner, *size, *_HIDDEN, pixels)
+    by_run = gather_runs(scene, points, view.frequencies_hz, made) * weights[:, None]
+    by_run = np.stack([group_sums(one, pixel, size[0] * size[1])[pixels] for one in by_run])
+    hidden, error = by_run.mean(axis=0), float(relative_bound(by_run).max())
+    return Reference(pixels, direct + hidden, hidden, counts, len(made), error)
 
 
 def _lights(scene: Any, view: View, at_least: int) -> Lights:

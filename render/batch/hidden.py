@@ -28,7 +28,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from render.batch.corners import chebyshev, interpolation
+from render.batch.chebyshev import chebyshev, interpolation
 from render.batch.quadrature import (
     FILM,
     Ints,

@@ -13,10 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from render.batch.corners import Corners, chebyshev
+from render.batch.chebyshev import chebyshev
 from render.batch.quadrics import Hiding, quadric_of
 from render.batch.surface_points import UnitPoints, divided_points, surface_points
 from render.batch.tables import PlacedObject, Scenes
+from render.walls import Corners
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from itof import phase_per_metre
 from render.backend import Device, select_variant
-from render.batch.corners import Corners
 from render.batch.quadrics import Hiding, is_convex, quadric_of
+from render.walls import Corners
 from scenegen.mitsuba_description import ROUGH_WALL_INDEX
 from scenegen.pose import rotation_matrix
 from scenegen.scene import HiddenObject, RelayWall, Scene

@@ -22,9 +22,16 @@ from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_su
 from render.transport.lights.light_pass import Lights, light_density, make_lights
 from render.transport.lights.run_statistics import needed_points
 from render.transport.method import PhasorImage, View
-from render.transport.passes.direct_pass import DirectImage, gather_direct
+from render.transport.passes.direct_pass import FINEST_ERROR, DirectImage, gather_direct
+from render.transport.passes.direct_samples import sample_direct
 from render.transport.passes.gather_pass import gather_runs
-from render.transport.passes.hidden_pass import HiddenField, RunValues, first_lattice, make_field
+from render.transport.passes.hidden_pass import (
+    HiddenField,
+    HiddenImage,
+    RunValues,
+    first_lattice,
+    make_field,
+)
 from render.transport.scene_checks import USE_PATH, SceneError, check_many_light_scene
 
 if TYPE_CHECKING:
@@ -37,6 +44,7 @@ _FEWEST_POINTS, _FIRST_TRIAL, _MOST_POINTS = 32, 128, 2**14  # on the hidden sur
 _REFINED = 1.5  # lights that lack this factor of points get new runs with twice the points, others more runs
 _MARGIN = 0.85  # of the wanted error: what the lights are planned for; the rest is for chance
 _FOR_LIGHTS = 0.96  # of the wanted error; a quarter of it for the interpolation makes it whole
+_FOR_NODES = 0.1  # of the wanted error, for the nodes of a pixel
 _WIDE_PIXEL = 4e-3  # of the image width; the hidden part of wider pixels takes 2 x 2 nodes instead of one
 
 log = logging.getLogger(__name__)
@@ -74,7 +82,7 @@ class ManyLight:
         if view.max_bounces > 1:
             check_many_light_scene(scene, surface is not None)
         if surface is None:
-            return ManyLightExposure(scene, view, None, self.options.edge_divisions)
+            return ManyLightExposure(scene, view, None, self.options.edge_divisions, self.options.error, None)
         workshop = LightWorkshop(scene, surface, light_density(scene, surface, view.seed), view)
         layout, wanted = view.layout, None if self.options.lights else self.options.error
         try:
@@ -91,7 +99,10 @@ class ManyLight:
             wanted=wanted,
         )
         log.debug("%d lights of %d runs, %s", len(lights), lights.runs, field.lattice)
-        return ManyLightExposure(scene, view, field, self.options.edge_divisions)
+        wanted = field.error if wanted is None else wanted
+        return ManyLightExposure(
+            scene, view, field, self.options.edge_divisions, wanted, _strength(scene, found)
+        )
 
     def _lights(self, workshop: LightWorkshop) -> tuple[Lights, RunValues]:
         """The lights of the image, and the hidden signal by each of their runs."""
@@ -164,53 +175,79 @@ class ManyLightExposure:
     Attributes
     ----------
     field : the hidden signal over the film; None without a hidden object.
-    edge_divisions : how often a pixel is divided where an edge crosses it.
+    edge_divisions : how often a pixel is divided where an edge that is none of the walls' crosses it.
+    wanted : error, relative to the hidden signal.
+    strength : of the hidden signal, relative to the direct return; None without a hidden object.
     """
 
     scene: mi.Scene
     view: View
     field: HiddenField | None
     edge_divisions: int
+    wanted: float
+    strength: float | None
 
     @property
     def error(self) -> float | None:
         """Bound of the error of the hidden phasors, relative to them; None without a hidden object."""
-        return None if self.field is None else self.field.error
+        if self.field is None or self._hidden is None:
+            return None
+        norm = np.linalg.norm(self._hidden.phasors, axis=(0, 1))
+        missed = np.hypot(self._hidden.missed, self._direct.missed)
+        of_pixels = np.divide(missed, norm, out=np.zeros_like(norm), where=norm > 0).max()
+        return float(np.linalg.norm([self.field.error, self._rule[1], of_pixels]))
 
     @property
     def attributes(self) -> dict[str, str]:
         """Provenance for the file: number of lights, and bound of the error of the hidden signal."""
         if self.field is None:
             return {"lights": "0"}
-        return {"lights": str(len(self.field.lights)), "hidden_error": f"{self.field.error:.3g}"}
+        return {"lights": str(len(self.field.lights)), "hidden_error": f"{self.error:.3g}"}
 
     def phasors(self) -> PhasorImage:
         """Phasors without time bins; the hidden part has no noise from the direct return."""
         direct = self._direct.phasors
-        hidden = np.zeros_like(direct)
-        if self.field is not None:
-            hidden = self.field.image(self._grid, hidden_rule(self._grid.width), self._direct)
+        hidden = np.zeros_like(direct) if self._hidden is None else self._hidden.phasors
         return PhasorImage(direct + hidden, direct, hidden, self.error)
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
         from render.transport.passes.transient_pass import transient_rows
 
+        yield from transient_rows(self.scene, self.view, self._grid, self._rule[0], self._direct, self.field)
+
+    @cached_property
+    def _hidden(self) -> HiddenImage | None:
+        return None if self.field is None else self.field.image(self._grid, self._rule[0], self._direct)
+
+    @cached_property
+    def _rule(self) -> tuple[PixelRule, float]:
+        """Nodes for the hidden part of a pixel that sees one surface, and the error that they leave."""
         rule = hidden_rule(self._grid.width)
-        yield from transient_rows(self.scene, self.view, self._grid, rule, self._direct, self.field)
+        if self.field is None:
+            return rule, 0.0
+        return self.field.enough_nodes(self._grid, rule, self._direct, _FOR_NODES * self.wanted)
 
     @cached_property
     def _direct(self) -> DirectImage:
         view = self.view
+        allowed = FINEST_ERROR if self.strength is None else _FOR_NODES * self.wanted * self.strength
         return gather_direct(
             *(self.scene, self._grid, view.frequencies_hz, view.seed),
             edge_divisions=COARSEST_EDGES if view.all_is_direct else self.edge_divisions,
-            all_is_direct=view.all_is_direct,
+            allowed=None if view.all_is_direct else allowed,
         )
 
     @property
     def _grid(self) -> Grid:
         return Grid(self.view.layout.width, self.view.layout.height)
+
+
+def _strength(scene: mi.Scene, found: RunValues) -> float:
+    """Norm of the hidden signal over that of the direct return, at the nodes of the first lattice."""
+    direct = np.linalg.norm(sample_direct(scene, found.points, 0).radiance.astype(float))
+    hidden = np.linalg.norm(found.values.mean(axis=0), axis=0).min()
+    return float(hidden / direct) if direct > 0 else 0.0
 
 
 def hidden_rule(width: int) -> PixelRule:

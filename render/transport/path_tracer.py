@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from render.options import PathOptions
 from render.transport.film.lattice import Lattice
 from render.transport.method import View
-from render.transport.passes.direct_pass import sample_direct
+from render.transport.passes.direct_samples import sample_direct
 from render.transport.transient_film import FILM_PLUGIN, register_film
 from scenegen.mitsuba_description import ROUGH_WALL
 

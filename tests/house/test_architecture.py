@@ -40,18 +40,22 @@ WINGS = {
     "render.options": set(),
     "render.backend": set(),
     "render.settings": {"render.options", "render.backend"},
+    "render.walls": set(),
     "render.transport.method": set(),
     "render.transport.film": set(),
     "render.transport.kernels": set(),
     "render.transport.lights": {"render.transport.kernels"},
     "render.transport.passes": {
-        f"render.transport.{name}" for name in ("method", "film", "kernels", "lights")
+        *(f"render.transport.{name}" for name in ("method", "film", "kernels", "lights")),
+        "render.walls",
     },
     "render.transport": {
         "render.options",
         *(f"render.transport.{name}" for name in ("method", "film", "kernels", "lights", "passes")),
     },
-    "render.batch": {"render.backend", "render.transport.kernels", "render.transport.lights"},
+    "render.batch": {
+        *("render.backend", "render.walls", "render.transport.kernels", "render.transport.lights"),
+    },
     "render.edited_scenes": {"render.settings"},
     "render.rendering": {
         *("render.transport.method", "render.transport.lights", "render.transport.passes"),

@@ -1,6 +1,10 @@
 """The error of many lights: how fast it falls, and that the estimate of it is right."""
 
 import functools
+import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -167,3 +171,14 @@ def test_a_wanted_error_is_met_without_more_lights_than_it_needs(
     four_shapes, reference, true_rms, variant, name
 ):
     check_wanted(four_shapes[name], reference(name), true_rms(name, 256)[-1], variant)
+
+
+@pytest.mark.long
+def test_the_reported_error_of_all_light_holds_in_random_corners(tmp_path):
+    benchmark, found = Path(__file__).parents[2] / "benchmarks/error_coverage.py", tmp_path / "rows"
+    options = ["--pairs", "12", "--corners", "--size", "24x18", "--pixels", "100", "--error", "0.03"]
+    subprocess.run([sys.executable, benchmark, *options, "--out", found], check=False, capture_output=True)
+    rows = [json.loads(line) for line in found.read_text().splitlines()]
+    assert len(rows) == 12
+    # Where each bound holds in 95 %, more than two of twelve fail once in 50 times.
+    assert sum(row["true"] > row["reported"] for row in rows) <= 2

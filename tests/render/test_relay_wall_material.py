@@ -67,12 +67,8 @@ def textured(periods):
 )
 def test_pixels_over_which_the_walls_brightness_varies_get_more_nodes(variant, tmp_path, wall):
     from render.transport.film.pixels import Grid, gauss_rule
-    from render.transport.passes.direct_pass import (
-        direct_order,
-        direct_phasors_of,
-        gather_direct,
-        sample_direct,
-    )
+    from render.transport.passes.direct_pass import direct_order, gather_direct
+    from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
     scene, grid = Corner(wall_bsdf=wall()).load(tmp_path), Grid(12, 9)
 

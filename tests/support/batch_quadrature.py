@@ -1,11 +1,13 @@
-"""The light of one cube in a corner with a diffuse wall, by sums in world axes and numpy alone.
+"""The light of one cube in a corner with a diffuse wall, and nodes of the parts of pixels that show the wall.
 
-Independent of the engine: other axes, even film cells, and a segment test for what walls hide.
+Independent of the engines: other axes, even film cells, a segment test for what walls hide, and polygons that
+are clipped edge by edge.
 """
 
 import numpy as np
 
 from itof import phase_per_metre
+from scenegen.making.outlines import clipped, wall_corners
 from scenegen.pose import camera_axes, rotation_matrix
 
 
@@ -122,3 +124,73 @@ def _cube(part, count):
             normals.append(np.broadcast_to(turned @ normal, face.shape))
             areas.append(np.outer(weight, weight).ravel() / 4 * size[axis - 2] * size[axis - 1])
     return np.concatenate(points), np.concatenate(normals), np.concatenate(areas)
+
+
+def free_nodes(scene, width, height, whole, cut, pixels=None):
+    """Gauss nodes of the parts of pixels that show the relay wall: polygons, divided into triangles.
+
+    Parameters
+    ----------
+    whole, cut : nodes along each side, of whole pixels and of triangles of pixels with an edge.
+    pixels : row-major indices; None is all.
+
+    Returns
+    -------
+    (N, 2) film positions, x and y from 0 to 1; (N,) shares of the pixel; (N,) pixel; pixels with an edge.
+    """
+    half = np.array([1.0, height / width]) * np.tan(np.radians(scene.camera.horizontal_fov_deg) / 2)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    found, edges = [], []
+    for pixel in range(width * height) if pixels is None else pixels:
+        at = (np.array([pixel % width, pixel // width]) + square) / (width, height)
+        parts = _free_parts(scene, np.column_stack([(2 * at - 1) * half, np.ones(4)]))
+        parts = [(part[:, :2] / half + 1) / 2 * (width, height) for part in parts]  # in pixels
+        shares = [(part, *_triangle_nodes(part, cut)) for part in parts]
+        area = sum(weights.sum() for *_, weights in shares)
+        if area > 1 - 1e-9:
+            node, weight = np.polynomial.legendre.leggauss(whole)
+            x, y = (each.ravel() for each in np.meshgrid((node + 1) / 2, (node + 1) / 2))
+            nodes = np.column_stack([x + pixel % width, y + pixel // width])
+            shares = [(None, nodes, np.outer(weight, weight).ravel() / 4)]
+        elif area > 1e-9:
+            edges.append(pixel)
+        else:
+            continue
+        found += [(nodes / (width, height), weights, 0 * weights + pixel) for _, nodes, weights in shares]
+    points, weights, pixel = (np.concatenate(each) for each in zip(*found, strict=True))
+    return points, weights, pixel.astype(int), np.array(edges, int)
+
+
+def _free_parts(scene, polygon):
+    """The convex parts of a polygon on the film z = 1 that show the relay wall."""
+    axes, eye = camera_axes(scene.camera), np.array(scene.camera.location_m)
+    (relay, plane), (middle, nearer) = (
+        _cone((wall_corners(wall) - eye) @ axes.T) for wall in (scene.relay_wall, scene.middle_wall)
+    )
+    here = np.zeros(3)
+    polygon = clipped(polygon, [(here, plane), *((here, side) for side in relay)])
+    parts = []
+    for side in (nearer, *middle, nearer - plane):  # inside of all, the middle wall is seen
+        if len(polygon) < 3:
+            break
+        parts.append(clipped(polygon, [(here, -side)]))
+        polygon = clipped(polygon, [(here, side)])
+    return [part for part in parts if len(part) > 2]
+
+
+def _cone(corners):
+    """Inward normals of the planes through the origin and a rectangle's edges; its plane m, m · p = 1."""
+    sides = np.cross(corners, np.roll(corners, -1, axis=0))
+    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    return sides * np.sign(sides @ corners.mean(0))[:, None], across / (across @ corners[0])
+
+
+def _triangle_nodes(polygon, order):
+    """Gauss nodes and areas over the triangles of a convex polygon (M, 2), denser at its first corner."""
+    node, weight = np.polynomial.legendre.leggauss(order)
+    u, v = np.meshgrid((node + 1) / 2, (node + 1) / 2, indexing="ij")
+    points, areas = [np.zeros((0, 2))], [np.zeros(0)]
+    for one, two in zip(polygon[1:-1] - polygon[0], polygon[2:] - polygon[0], strict=True):
+        points.append((polygon[0] + u[..., None] * (one + v[..., None] * (two - one))).reshape(-1, 2))
+        areas.append((np.outer(weight, weight) / 4 * u).ravel() * abs(one[0] * two[1] - one[1] * two[0]))
+    return np.concatenate(points), np.concatenate(areas)

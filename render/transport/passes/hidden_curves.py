@@ -12,7 +12,7 @@ from scipy.ndimage import convolve1d
 from render.transport.film.lattice import Lattice, filled
 from render.transport.film.pixels import Grid, PixelRule
 from render.transport.method import View
-from render.transport.passes.direct_pass import seen_surfaces
+from render.transport.passes.direct_samples import seen_surfaces
 from render.transport.passes.gather_pass import carrier_amplitude
 from render.transport.passes.hidden_pass import HiddenField, interpolable
 

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.transport.film.lattice import Lattice, filled
-from render.transport.film.pixels import Grid, PixelRule, group_sums
+from render.transport.film.pixels import Grid, PixelRule, gauss_rule, group_sums
 from render.transport.lights.hidden_surface import sobol_points
 from render.transport.lights.light_pass import Lights
 from render.transport.lights.run_statistics import common_part, relative_bound
-from render.transport.passes.direct_pass import DirectImage, seen_surfaces
+from render.transport.passes.direct_pass import DirectImage
+from render.transport.passes.direct_samples import seen_surfaces
+from render.transport.passes.edge_points import choose_points
 from render.transport.passes.gather_pass import gather_carrier, gather_lights, gather_runs
 
 if TYPE_CHECKING:
@@ -27,8 +29,8 @@ if TYPE_CHECKING:
 _COARSEST = 10  # cells in the width of the film
 _CHECKS = 128  # points between the nodes, at which the interpolation is checked
 _SHARE = 0.25  # of the wanted error, for the interpolation
-_EDGE_POINTS = 4  # for each surface in a pixel that sees several
-_CURVE_BITS = 9  # of each coordinate of a space-filling curve through such a pixel: its smallest cells
+_UNSURE = 4.0  # error over the change from linear to quadratic: shadows of few lights are no polynomials
+_CHECKED_PIXELS, _MOST_NODES = 256, 8  # for the nodes of whole pixels
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,8 @@ class HiddenField:
     surface: int
     error: float
 
-    def image(self, grid: Grid, rule: PixelRule, direct: DirectImage) -> NDArray[np.complex128]:
-        """(H, W, F) phasors, mean radiance of each pixel in W m^-2 sr^-1.
+    def image(self, grid: Grid, rule: PixelRule, direct: DirectImage) -> HiddenImage:
+        """The hidden signal of each pixel.
 
         Parameters
         ----------
@@ -70,13 +72,42 @@ class HiddenField:
             "pnf,n->pf", values.reshape(len(exact), rule.count, z.shape[-1]), rule.pixel_weights
         )
         chosen = choose_points(direct)
-        values, carrier = self._exact(chosen.points), self._carrier(chosen.points)
-        parts = chosen.sums(values * chosen.weights[:, None]), chosen.sums(carrier * chosen.weights[:, None])
-        points, weights = direct.edges.points[chosen.seen], direct.edges.weights[chosen.seen]
-        whole = chosen.totals(self._carrier(points) * weights[:, None])
-        scale = np.divide(whole, parts[1], out=np.ones_like(whole), where=parts[1] != 0)
-        z += group_sums(parts[0] * scale, chosen.pixels, len(z))
-        return z.reshape(grid.height, grid.width, -1)
+        whole = self._carrier(chosen.seen_points)
+        linear, quadratic = chosen.means(self._exact(chosen.points), self._carrier(chosen.points), whole)
+        z += group_sums(quadratic, chosen.pixels, len(z))
+        change = np.linalg.norm(group_sums(quadratic - linear, chosen.pixels, len(z)), axis=0)
+        return HiddenImage(z.reshape(grid.height, grid.width, -1), _UNSURE * change)
+
+    def enough_nodes(
+        self, grid: Grid, rule: PixelRule, direct: DirectImage, allowed: float
+    ) -> tuple[PixelRule, float]:
+        """`rule`, or one of more nodes, until one more changes the carrier by less than `allowed`.
+
+        Also how much it still changes, relative to it.
+        """
+        whole = np.flatnonzero(direct.surface.ravel() > 0)
+        pixels = np.unique(
+            whole[np.linspace(0, max(len(whole) - 1, 0), _CHECKED_PIXELS if len(whole) else 0).astype(int)]
+        )
+        mean = self._carrier_means(grid, rule, pixels)
+        while True:
+            finer = gauss_rule(len(rule.nodes) + 1)
+            better = self._carrier_means(grid, finer, pixels)
+            norm = np.linalg.norm(better, axis=0)
+            off = np.linalg.norm(better - mean, axis=0)
+            change = float(np.divide(off, norm, out=np.zeros_like(off), where=norm > 0).max())
+            if change <= allowed or len(finer.nodes) > _MOST_NODES:
+                return rule, change
+            rule, mean = finer, better
+
+    def _carrier_means(
+        self, grid: Grid, rule: PixelRule, pixels: NDArray[np.int64]
+    ) -> NDArray[np.complex128]:
+        carrier = self._carrier(grid.points(pixels, rule.pixel_nodes).reshape(-1, 2))
+        means: NDArray[np.complex128] = np.einsum(
+            "pnf,n->pf", carrier.reshape(len(pixels), rule.count, -1), rule.pixel_weights
+        )
+        return means
 
     def _interpolated(
         self, grid: Grid, rule: PixelRule, surface: NDArray[np.int64], z: NDArray[np.complex128]
@@ -106,32 +137,17 @@ class HiddenField:
 
 
 @dataclass(frozen=True)
-class ChosenPoints:
-    """A few points for every surface in every pixel with an edge: G such groups, C points.
+class HiddenImage:
+    """The hidden signal of each pixel.
 
     Attributes
     ----------
-    points, weights : (C, 2) film positions, (C,) share of the pixel.
-    group : (C,) group of each point.
-    pixels : (G,) row-major index of the pixel of each group.
-    seen : (M,) those of the points of `EdgePixels` that see a surface.
-    seen_groups : (M,) group of each of them.
+    phasors : (H, W, F) mean radiance of each pixel in W m^-2 sr^-1.
+    missed : (F,) bound of the norm of their error in pixels with edges.
     """
 
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    group: NDArray[np.int64]
-    pixels: NDArray[np.int64]
-    seen: NDArray[np.int64]
-    seen_groups: NDArray[np.int64]
-
-    def sums(self, values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """(G, F) sum over the chosen points (C, F) of each group."""
-        return group_sums(values, self.group, len(self.pixels))
-
-    def totals(self, values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """(G, F) sum over all points (M, F) of each group."""
-        return group_sums(values, self.seen_groups, len(self.pixels))
+    phasors: NDArray[np.complex128]
+    missed: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -156,33 +172,6 @@ class RunValues:
 def first_lattice(aspect: float) -> Lattice:
     """The coarsest lattice, for a film of this width over height."""
     return Lattice(_COARSEST, max(3, round(_COARSEST / aspect)))
-
-
-def choose_points(direct: DirectImage) -> ChosenPoints:
-    """Points that are spread over what each surface fills of each pixel with an edge, of equal weights."""
-    edges, surface = direct.edges, direct.edge_samples.surface.astype(np.int64)
-    seen = np.flatnonzero(surface > 0)
-    # A sort of all points would take longer than the rest of a small image.
-    surfaces = np.flatnonzero(np.bincount(surface[seen]))  # a few numbers
-    number_of = np.zeros(direct.surface.size, np.int64)
-    number_of[edges.pixels] = np.arange(len(edges.pixels))
-    key = number_of[edges.pixel[seen]] * len(surfaces) + np.searchsorted(surfaces, surface[seen])
-    is_group = np.bincount(key) > 0
-    groups, group = np.flatnonzero(is_group), (np.cumsum(is_group) - 1)[key]
-    place = (edges.points[seen] * direct.surface.shape[::-1] % 1 * 2**_CURVE_BITS).astype(int)
-    bits = [(bit, axis) for bit in range(_CURVE_BITS) for axis in (0, 1)]
-    along = sum(((place[:, axis] >> bit) & 1) << (2 * bit + axis) for bit, axis in bits)
-    order = np.lexsort((along, group))
-    reached = np.concatenate([[0.0], np.cumsum(edges.weights[seen[order]])])
-    ends = np.searchsorted(group[order], np.arange(len(groups) + 1))
-    total = reached[ends[1:]] - reached[ends[:-1]]
-    steps = (np.arange(_EDGE_POINTS) + 0.5) / _EDGE_POINTS
-    chosen = np.searchsorted(reached, reached[ends[:-1], None] + steps * total[:, None], side="right") - 1
-    kept = seen[order[chosen.ravel()]]
-    number = np.repeat(np.arange(len(groups)), _EDGE_POINTS)
-    weights = np.repeat(total / _EDGE_POINTS, _EDGE_POINTS)
-    pixels = edges.pixels[groups // max(1, len(surfaces))]
-    return ChosenPoints(edges.points[kept], weights, number, pixels, seen, group)
 
 
 def make_field(

@@ -20,18 +20,18 @@ from render.transport.film.lattice import Lattice
 from render.transport.film.pixels import LANES, Grid, PixelRule, gauss_rule
 from render.transport.lights.hidden_surface import sobol_points
 from render.transport.method import View
-from render.transport.passes.direct_pass import DirectImage, direct_lanes, sample_direct
+from render.transport.passes.direct_pass import DirectImage, bin_order
+from render.transport.passes.direct_samples import direct_lanes, sample_direct
+from render.transport.passes.edge_points import ChosenPoints, choose_points
 from render.transport.passes.gather_pass import carrier_path_m, carrier_paths
 from render.transport.passes.hidden_curves import make_curves
-from render.transport.passes.hidden_pass import ChosenPoints, HiddenField, choose_points
+from render.transport.passes.hidden_pass import HiddenField
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from render.transport.kernels.time_bins import TimeAxis
 
-# Nodes of the direct return, in the width of the image, and their limits in a pixel: closer than time bins.
-_DIRECT_NODES, _FEWEST_NODES, _MOST_NODES = 1280, 8, 32
 _MOST_PACKETS = 64  # for the arrivals of each light,
 _ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each
 _MOST_LOST = 1e-4  # of the hidden energy
@@ -73,7 +73,7 @@ def transient_rows(
         field = None  # a black object
     layout = view.layout
     axis = TimeAxis(layout.bin_count, layout.bin_width_m, layout.start_opl_m)
-    order = min(max(_DIRECT_NODES // grid.width, _FEWEST_NODES), _MOST_NODES)
+    order = bin_order(grid.width)
     direct_part = _DirectPart(scene, grid, gauss_rule(order), direct, view.seed)
     hidden_part = None if field is None else _HiddenPart(scene, view, grid, rule, direct, field)
     lost = arrived = 0.0
@@ -186,7 +186,7 @@ class _HiddenPart:
             self.smooth = self.curves.covers(grid, rule, surface)
         self.exact = (surface > 0) & ~self.smooth
         self.chosen = choose_points(direct)
-        self.chosen_weights, self.chosen_later_m = _rescaled(field, direct, self.chosen)
+        self.chosen_weights, self.chosen_later_m = _rescaled(field, self.chosen)
 
     def add(self, rows: tuple[int, int], axis: TimeAxis, bins: mi.Float) -> tuple[float, float]:
         """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
@@ -247,17 +247,15 @@ class _HiddenPart:
         return dr.sum(totals[0])[0], dr.sum(totals[1])[0]
 
 
-def _rescaled(
-    field: HiddenField, direct: DirectImage, chosen: ChosenPoints
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rescaled(field: HiddenField, chosen: ChosenPoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(C,) weights of the chosen points that stand for all points of their group, and (C,) path to add.
 
     With both, the carrier has the energy and the mean path length of the whole group.
     """
-    edges, moments = direct.edges, []
+    moments = []
     for points, weights, summed in (
         (chosen.points, chosen.weights, chosen.sums),
-        (edges.points[chosen.seen], edges.weights[chosen.seen], chosen.totals),
+        (chosen.seen_points, chosen.seen_weights, chosen.totals),
     ):
         amplitude, path_m = carrier_paths(field.scene, points, field.lights.centre)
         energy = weights * amplitude

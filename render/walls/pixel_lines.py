@@ -1,7 +1,8 @@
 """Lines through pixels: where the Gauss nodes lie of the part of a pixel that shows the relay wall.
 
 A pixel without an edge has two lines. Through one with edges, the free part of a line changes smoothly with y
-except where an edge crosses a side of the pixel, so each stretch between these places has lines of its own.
+except where an edge crosses a side of the pixel or another edge, so each stretch between these places has
+lines of its own.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from render.batch.corners import Corners
+from render.walls.corners import Corners
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _FEW: Final = 2  # lines of a pixel without edges: with as many nodes on each, exact for cubic polynomials
-_MANY: Final = 4  # of a stretch between two edges
+_MANY: Final = 4  # of a stretch
 _SHORTEST: Final = 1e-9  # stretch, of a pixel
 
 
@@ -78,21 +79,77 @@ def _seen(corners: Corners, width: int, height: int) -> tuple[NDArray[np.bool_],
     return whole.all(0), ~some.any(0)
 
 
-def _own_lines(corners: Corners, row: Ints, column: Ints, width: int, height: int) -> tuple[Floats, Ints]:
-    """(L, 8) lines of M pixels, each in front of its own of M corners, and the number (L,) of the pixel."""
+def crossed_pixels(corner: Corners, width: int, height: int) -> Ints:
+    """Row-major indices of the pixels of one corner's image that a straight line through an edge crosses."""
+    sides = [(np.arange(count + 1) * 2 / count - 1) for count in (width, height)]
+    x, y = sides[0] * corner.half, sides[1] * corner.half / corner.aspect
+    found = np.zeros((height, width), bool)
+    for edge in corner.edges()[0] / np.linalg.norm(corner.edges()[0], axis=1, keepdims=True):
+        off = edge[0] * x + (edge[1] * y + edge[2])[:, None]  # (H + 1, W + 1)
+        four = np.stack([off[:-1, :-1], off[:-1, 1:], off[1:, :-1], off[1:, 1:]])
+        found |= (four.min(0) < _SHORTEST) & (four.max(0) > -_SHORTEST)
+    return np.flatnonzero(found)
+
+
+def free_nodes(
+    corner: Corners, pixels: Ints, width: int, height: int, order: int
+) -> tuple[Floats, Floats, Ints]:
+    """Gauss nodes of the parts of pixels that show the relay wall of one corner.
+
+    Parameters
+    ----------
+    pixels : (M,) row-major indices.
+    order : lines of each stretch, and nodes of each free part of a line.
+
+    Returns
+    -------
+    (N, 2) film positions, x and y from 0 to 1; (N,) shares of the pixel; (N,) row-major index of the pixel.
+    """
+    row, column = np.divmod(pixels, width)
+    lines, number = _own_lines(corner.some(0 * pixels), row, column, width, height, order)
+    left = (column[number] * 2 / width - 1) * corner.half
+    size = 2 * corner.half / width
+    node, weight = np.polynomial.legendre.leggauss(order)
+    found = []
+    for part in (lines[:, 4:6], lines[:, 6:8]):
+        begin, end = np.maximum(part[:, 0], left), np.minimum(part[:, 1], left + size)
+        free = np.flatnonzero(end > begin)
+        half = ((end - begin) / 2)[free, None]
+        x = ((begin + end) / 2)[free, None] + half * node
+        y = np.broadcast_to(lines[free, :1], x.shape)
+        share = half / size * weight * lines[free, 1:2]
+        found.append((x, y, share, np.broadcast_to(pixels[number[free], None], x.shape)))
+    x, y, share, pixel = (np.concatenate(each).ravel() for each in zip(*found, strict=True))
+    film = np.stack([x, y * corner.aspect], axis=-1) / corner.half
+    return (film + 1) / 2, share, pixel
+
+
+def _own_lines(
+    corners: Corners, row: Ints, column: Ints, width: int, height: int, count: int = _MANY
+) -> tuple[Floats, Ints]:
+    """(L, 8) lines of M pixels, each in front of its own of M corners, and the number (L,) of the pixel.
+
+    `count` are those of a stretch.
+    """
     size = 2 * corners.half / width
     left, top = (column - width / 2) * size, (row - height / 2) * size
     edges = corners.edges()  # (M, K, 3)
     with np.errstate(divide="ignore", invalid="ignore"):
         crossed = [-(edges[..., 0] * x[:, None] + edges[..., 2]) / edges[..., 1] for x in (left, left + size)]
-    places = np.concatenate([*crossed, np.stack([top, top + size], axis=1)], axis=1)
+    one, two = np.triu_indices(edges.shape[1], 1)
+    corner = np.cross(edges[:, one], edges[:, two])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, meeting = np.moveaxis(corner[..., :2] / corner[..., 2:], -1, 0)
+    inside = (x > left[:, None]) & (x < (left + size)[:, None])
+    meeting = np.where(inside, meeting, top[:, None])
+    places = np.concatenate([*crossed, meeting, np.stack([top, top + size], axis=1)], axis=1)
     places = np.where(np.isfinite(places), places, top[:, None])
     places = np.sort(np.clip(places, top[:, None], (top + size)[:, None]), axis=1)
     number, stretch = np.nonzero(np.diff(places, axis=1) > _SHORTEST * size[:, None])
     begin, end = places[number, stretch], places[number, stretch + 1]
-    node, weight = np.polynomial.legendre.leggauss(_MANY)
-    y = (begin + end)[:, None] / 2 + (end - begin)[:, None] / 2 * node  # (S, _MANY)
+    node, weight = np.polynomial.legendre.leggauss(count)
+    y = (begin + end)[:, None] / 2 + (end - begin)[:, None] / 2 * node  # (S, count)
     lines = np.zeros((*y.shape, 8))
     lines[..., 0], lines[..., 1] = y, (end - begin)[:, None] / 2 * weight / size[number, None]
     lines[..., 4:] = corners.some(number).visible(y).reshape(*y.shape, 4)
-    return lines.reshape(-1, 8), np.repeat(number, _MANY)
+    return lines.reshape(-1, 8), np.repeat(number, count)
