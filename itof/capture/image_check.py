@@ -73,7 +73,7 @@ def check_image(
         words = "no wall found: no pixel holds light, or almost none"
         return ImageCheck((Finding("no-wall", words, True),), None, ())
     fit, defects = seen
-    if words := other_frequency(phasor, fit.wall.frequencies_hz, fit.mismatch):
+    if words := other_frequency(phasor, fit):
         return ImageCheck((Finding("convention", words, True),), None, ())
     if defects:
         return ImageCheck((Finding("convention", " and ".join(defects), True),), None, ())

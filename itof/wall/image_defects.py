@@ -106,12 +106,13 @@ def _few_numbers(pixels: Phasors, noise_rad: float) -> int:
     strength = np.maximum(strength, _DIM * np.median(strength))
     parts = np.abs(np.stack([pixels.real, pixels.imag]))
     in_parts, in_phase = len(np.unique(parts)), len(np.unique(angle))
-    few = parts.size > _TIMES * min(in_parts, in_phase) and in_phase > _TIMES  # else the phase is even
+    if in_phase <= _TIMES:
+        return 0  # the phase is even
     # Noise of rounding, weighted as that of neighbours.
     part_rad = parts.max() / max(in_parts, 1) * np.sqrt((1 / strength).mean() / strength.mean() / 12)
-    if few and in_parts <= _COARSE and noise_rad < _ROUNDED * part_rad:
+    if in_parts <= min(_COARSE, parts.size / _TIMES) and noise_rad < _ROUNDED * part_rad:
         return in_parts
-    return in_phase if few and in_phase <= _COARSE else 0
+    return in_phase if in_phase <= min(_COARSE, angle.size / _TIMES) else 0
 
 
 def _mixed_planes(pixels: Phasors, frequencies_hz: tuple[float, ...]) -> str:

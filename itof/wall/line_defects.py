@@ -17,8 +17,9 @@ _AXES: Final = ("rows", "columns")
 _REPEATED = 0.1  # part of the lines
 _EXCHANGED = 5e-3  # median bend that calls for an explanation, and
 _CLEARLY = 0.25  # what an explanation leaves of it
-_BREAK = 0.1  # mean step of a rolled image where the first line is,
+_BREAK = 0.1  # step of a rolled image where the first line is,
 _ALONE = 5.0  # and over the step from its last line to the first, and over the median step
+_LEAST = 1e-3  # of a step
 _SEAM = 2.5e-3  # bend about a wall; hidden light and the edges of walls have up to 1.9e-3
 _OF_MEDIAN = 20.0  # times the median bend; uncalibrated waves have up to 15
 _WHOLE = 0.5  # of the median weight of a line
@@ -55,9 +56,7 @@ def seam(fit: RobustFit) -> str:
         size = np.sqrt((mean**2).mean(axis=-1)) * (total > _WHOLE * np.median(total))
         place = int(size.argmax())
         if size[place] > _SEAM and size[place] > _OF_MEDIAN * np.median(size[size > 0]):
-            return (
-                f"the phases have a seam between {name} {place} and {place + 2}: shifted or foreign {name}?"
-            )
+            return f"the phases have a seam near {name[:-1]} {place + 1}: shifted or foreign {name}?"
     return ""
 
 
@@ -87,10 +86,11 @@ def _rolled(lines: Phasors) -> int:
     after = np.roll(lines, -1, axis=0)
     weight = np.minimum(np.abs(after), np.abs(lines))
     total = weight.sum(axis=1)  # (n, F)
+    # (n, F) steps from each line to the next one, as on a ring
     step = (weight * np.abs(np.angle(after * lines.conj()))).sum(axis=1) / np.maximum(total, 1e-300)
-    step = np.where(total > 0, step, 0).mean(axis=-1)  # (n,) from each line to the next one, as on a ring
-    usual = max(float(np.median(step)), float(step[-1]))
-    place = int(step[:-1].argmax())
-    others: Floats = np.delete(step, place)
-    broken = step[place] > max(_BREAK, _ALONE * usual, 2 * others.max())
+    step = np.where(total > 0, step, 0)
+    times = (step / np.maximum(np.maximum(np.median(step, axis=0), step[-1]), _LEAST)).max(axis=-1)  # (n,)
+    place = int(times[:-1].argmax())
+    others: Floats = np.delete(times, place)
+    broken = step[place].max() > _BREAK and times[place] > max(_ALONE, 2 * others.max())
     return place + 1 if broken and total[[place, -1]].all() else 0

@@ -99,7 +99,7 @@ def check_measurement(
         words = "measurement and reference have opposite signs: multiply one of them by -1?"
         return Plausibility((*findings, Finding("convention", words, True)), None)
     fit = locate_wall(phasor, wall, direct=reference)
-    if words := other_frequency(phasor, wall.frequencies_hz, 1.0 if fit is None else fit.mismatch):
+    if fit is not None and (words := other_frequency(phasor, fit)):
         return Plausibility((*findings, Finding("convention", words, True)), None)
     if fit is None or not found(fit):
         return Plausibility((*findings, _no_wall(phasor, wall, reference is not None)), None)

@@ -136,7 +136,7 @@ DEFECTS = {
     "half shifted": (half_shifted, "convention", "a seam near row"),
     "8 bits": (rounded_to_8_bits, "no-hidden-light", "different numbers"),
     "one depth": (of_one_depth, "no-hidden-light", "no hidden light can be in it"),
-    "planes mixed": (planes_mixed, "convention", "the real part at 20 MHz and the imaginary part at 20 MHz"),
+    "planes mixed": (planes_mixed, "convention", "the real part at 20 MHz and the imaginary part at 50 MHz"),
     "5 cm farther": (lambda z, w: farther(z, w, 0.05), "wall-moved", "cm farther away"),
     "5 cm nearer": (lambda z, w: farther(z, w, -0.05), "wall-moved", "cm nearer"),
     "70 cm farther": (lambda z, w: farther(z, w, 0.7), "wall-moved", "cm farther away"),
