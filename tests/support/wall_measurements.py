@@ -126,6 +126,16 @@ DEFECTS = {
         "at 60 MHz: the phase falls with distance",
     ),
     "one frequency is noise": (noisy_frequency, "no-wall", "the phases at 20 MHz are noise"),
+    "5 cm farther": (lambda z, w: farther(z, w, 0.05), "wall-moved", "cm farther away"),
+    "5 cm nearer": (lambda z, w: farther(z, w, -0.05), "wall-moved", "cm nearer"),
+    "70 cm farther": (lambda z, w: farther(z, w, 0.7), "wall-moved", "cm farther away"),
+    "uncalibrated": (lambda z, w: z * np.exp(1j * np.array([0.5, 1.4, -2.0])), "phase-offsets", "off by"),
+    "20 mrad": (lambda z, w: z * np.exp(0.02j), "phase-offsets", "off by"),
+    "much noise": (lambda z, w: z * (1 + 0.2 * noise(z.shape)), "scatter", "too noisy?"),
+}
+
+# The same of what is no image of a scene, whatever it shows.
+IMAGE_DEFECTS = {
     "one row": (lambda z, w: np.repeat(z[9:10], len(z), 0), "convention", "rows of the image are copies"),
     "rolled": (lambda z, w: np.roll(z, 1, 1), "convention", "rolled: its first 1 columns"),
     "rows in pairs": (
@@ -137,10 +147,4 @@ DEFECTS = {
     "8 bits": (rounded_to_8_bits, "no-hidden-light", "different numbers"),
     "one depth": (of_one_depth, "no-hidden-light", "no hidden light can be in it"),
     "planes mixed": (planes_mixed, "convention", "the real part at 20 MHz and the imaginary part at 50 MHz"),
-    "5 cm farther": (lambda z, w: farther(z, w, 0.05), "wall-moved", "cm farther away"),
-    "5 cm nearer": (lambda z, w: farther(z, w, -0.05), "wall-moved", "cm nearer"),
-    "70 cm farther": (lambda z, w: farther(z, w, 0.7), "wall-moved", "cm farther away"),
-    "uncalibrated": (lambda z, w: z * np.exp(1j * np.array([0.5, 1.4, -2.0])), "phase-offsets", "off by"),
-    "20 mrad": (lambda z, w: z * np.exp(0.02j), "phase-offsets", "off by"),
-    "much noise": (lambda z, w: z * (1 + 0.2 * noise(z.shape)), "scatter", "too noisy?"),
 }
