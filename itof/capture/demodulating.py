@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from itof import phasor_of_return, radial_from_z
 from itof.arrays import Complex, Numbers
 from itof.capture.averaging import NO_LIGHT
+from itof.capture.number_range import refuse_range
 from itof.capture.phase_steps import phasor_weights
 from itof.capture.raw_frames import RawFrames
 from itof.capture.sidecar import CaptureError, Sidecar
@@ -19,8 +20,12 @@ from itof.light import megahertz
 
 _STUCK = 0.01  # response of a tap over that of the taps that respond most
 _WHOLE_TURN = 1.05  # periods that phases may span, with some slack for offsets
-_FARTHEST_M = 1000.0  # median depth in metres that must be millimetres
-_NEAREST_MM = 20.0  # median depth in millimetres that must be metres
+_NEAREST_M, _FARTHEST_M = 0.05, 20.0  # median depth; others must be in another unit
+WALLS_M: Final[tuple[float, float]] = (
+    0.2,
+    6.0,
+)  # distances of walls; those of the paper are 1 to 3 m away; ours
+_UNITS = {"millimetres": 1000.0, "metres": 1.0, "centimetres": 100.0, "inches": 1 / 0.0254}  # in a metre
 
 Complexes = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
@@ -93,6 +98,8 @@ def sensor_pixels(raw: RawFrames, sidecar: Sidecar) -> SensorPixels:
     if not sidecar.is_raw:
         dead = _dark_somewhere(raw, sidecar)
     _refuse_units(raw, sidecar)
+    if sidecar.is_raw:
+        refuse_range(raw, sidecar)
     if saturated.all():
         raise CaptureError(f"{raw.source}: all pixels are saturated: capture with a shorter exposure")
     _refuse_silent(raw, sidecar, ~saturated)
@@ -171,11 +178,20 @@ def _refuse_units(raw: RawFrames, sidecar: Sidecar) -> None:
                 f"{raw.source}: the phases span only {span:g} of 360 degrees: correct phase_unit; radians?"
             )
     if sidecar.layout == "amplitude-depth":
-        middle = float(np.median(raw.values[0]))
-        if sidecar.depth_unit == "m" and middle > _FARTHEST_M:
-            raise CaptureError(f"{raw.source}: half of the depths are above {middle:g} m: millimetres?")
-        if sidecar.depth_unit == "mm" and 0 < middle < _NEAREST_MM:
-            raise CaptureError(f"{raw.source}: half of the depths are below {middle:g} mm: metres?")
+        _refuse_depths(raw, sidecar)
+
+
+def _refuse_depths(raw: RawFrames, sidecar: Sidecar) -> None:
+    """Depths that must be in another unit."""
+    measured = raw.values[0][raw.values[0] != 0]
+    middle = float(np.median(measured)) if measured.size else 0.0
+    if middle <= 0 or _NEAREST_M <= middle / _PER_METRE[sidecar.depth_unit] <= _FARTHEST_M:
+        return
+    fitting = [name for name, metre in _UNITS.items() if WALLS_M[0] <= middle / metre <= WALLS_M[1]]
+    raise CaptureError(
+        f"{raw.source}: half of the depths are above {middle:g} {sidecar.depth_unit}: "
+        f"{'? '.join(fitting) or 'in which unit are they'}?"
+    )
 
 
 def _refuse_silent(raw: RawFrames, sidecar: Sidecar, usable: Mask) -> None:

@@ -11,17 +11,18 @@ import numpy as np
 
 from itof import combined_range_m
 from itof.arrays import Floats, Phasors
+from itof.capture.demodulating import WALLS_M
 from itof.capture.facts import CaptureFacts, milliradians
 from itof.light import megahertz
 from itof.wall.brightness import DEAD_NOTED, SATURATED_NOTED, brightness_findings
 from itof.wall.finding import Finding, length
+from itof.wall.frequency_defects import other_frequency
+from itof.wall.image_defects import fit_defects, image_defects
 from itof.wall.plausibility import MISFIT_NOTED_RAD, SCATTER_REFUSED_RAD
 from itof.wall.unknown_wall import see_wall
 from itof.wall.wall_fit import OFFSET_STD_RAD, WALL_SHARE, RobustFit, without_unit
 
-# The walls of the paper are 1 to 3 m away. These limits are ours.
-NEAREST_M: Final = 0.2
-FARTHEST_M: Final = 6.0
+NEAREST_M, FARTHEST_M = WALLS_M
 NOT_FLAT_RAD: Final = 0.01  # smooth phases over a plane, root mean square; hidden light is 1 to 3 mrad
 NOISY_RAD: Final = 1e-3  # of a pixel: as much as weak hidden light
 GOOD_NOISE_RAD: Final = 3e-4  # with 3.7e-4, an MAE of 1.3 cm rises to 3.5 (notebook/cameras.md)
@@ -66,11 +67,15 @@ def check_image(
     ------
     ValueError : values that are not finite.
     """
+    if spoilt := tuple(image_defects(phasor, tuple(frequencies_hz))):
+        return ImageCheck(spoilt, None, ())
     seen = see_wall(phasor, frequencies_hz, horizontal_fov_deg, offset_std_rad)
     if seen is None:
         words = "no wall found: no pixel holds light, or almost none"
         return ImageCheck((Finding("no-wall", words, True),), None, ())
     fit, defects = seen
+    if words := other_frequency(phasor, fit):
+        return ImageCheck((Finding("convention", words, True),), None, ())
     if defects:
         return ImageCheck((Finding("convention", " and ".join(defects), True),), None, ())
     if _is_even(phasor):
@@ -78,6 +83,8 @@ def check_image(
         return ImageCheck((Finding("no-wall", words, True),), fit, ())
     if fit.wall_share.min() < WALL_SHARE:
         return ImageCheck((_no_wall(fit),), fit, ())
+    if spoilt := tuple(fit_defects(phasor, fit)):
+        return ImageCheck(spoilt, fit, ())
     findings = list(brightness_findings(without_unit(phasor, fit.wall), fit.wall))
     noise = _local_rms(fit, fit.residual_rad)
     lit = float((phasor != 0).all(axis=-1).mean())

@@ -20,6 +20,7 @@ from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_files import measurement_of
 from itof.files.measurement_process import FileContents
 from itof.files.measurement_writing import ENDINGS, write_measurement
+from itof.wall.image_defects import image_defects
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,9 @@ def import_capture(
     reference = None
     if empty_files:
         reference = read_capture(empty_files, meaning, folder, shape, progress=progress)
+    for name, each in (("", capture), ("the empty corner: ", reference)):
+        for finding in () if each is None else image_defects(each.phasor, each.frequencies_hz):
+            raise CaptureError(f"{name}{finding.sentence}")
     lit = (capture.phasor != 0).all(axis=-1)
     images = {"phasors": capture.phasor}
     if reference is not None:

@@ -12,7 +12,8 @@ class Finding:
     Attributes
     ----------
     code : the kind of finding, for programs:
-        ``no-wall`` (the light is not that of a wall), ``convention`` (sign, order or axes),
+        ``no-wall`` (the light is not that of a wall), ``convention`` (sign, order, axes or frequency),
+        ``no-hidden-light`` (too coarse, or of one depth image),
         ``wall-moved``, ``phase-offsets``, ``scatter``, ``strange-pixels``, ``dead-pixels``,
         ``even-amplitude``, ``saturated``.
     sentence : the same for a reader, without a capital letter and a full stop.

@@ -1,10 +1,11 @@
 """Whether a measurement can be what it is taken for: light from the relay wall where the wall should be.
 
-A network answers any input. Almost all light of a measurement comes straight from the relay wall, so what is
-wrong with a measurement shows in how it differs from the wall's expected return: the amplitudes
-(`itof.wall.brightness`), the conventions of the file (`itof.wall.phase_defects`), the pose of camera and wall
-and the calibration of the camera (`itof.wall.wall_search`). The limits rest on the distributions in
-docs/science/design.md (Wall found in the measurement).
+A network answers any input. `itof.wall.image_defects` finds what is no image at all. Almost all light of a
+measurement comes straight from the relay wall, so what else is wrong shows in how it differs from the wall's
+expected return: the amplitudes (`itof.wall.brightness`), the conventions of the file
+(`itof.wall.phase_defects`, `itof.wall.frequency_defects`), the pose of camera and wall and the calibration of
+the camera (`itof.wall.wall_search`). The limits rest on the distributions in docs/science/design.md (Wall
+found in the measurement).
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from itof.unwrapping import combined_range_m
 from itof.wall.brightness import EVEN, brightness_findings
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.finding import Finding, length
+from itof.wall.frequency_defects import other_frequency
+from itof.wall.image_defects import fit_defects, image_defects
 from itof.wall.phase_defects import alternatives, find_defects, mismatch
 from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import found, locate_wall
@@ -84,6 +87,8 @@ def check_measurement(
     phasor = without_unit(phasor, wall)
     reference = None if reference is None else without_unit(reference, wall)
     free_offsets = self_calibrated or reference is not None
+    if spoilt := tuple(image_defects(phasor, wall.frequencies_hz)):
+        return Plausibility(spoilt, None)
     findings = _amplitudes_and_conventions(phasor, wall, free_offsets=free_offsets)
     if any(finding.refused for finding in findings):
         return Plausibility(findings, None)
@@ -95,8 +100,12 @@ def check_measurement(
         words = "measurement and reference have opposite signs: multiply one of them by -1?"
         return Plausibility((*findings, Finding("convention", words, True)), None)
     fit = locate_wall(phasor, wall, direct=reference)
+    if fit is not None and (words := other_frequency(phasor, fit)):
+        return Plausibility((*findings, Finding("convention", words, True)), None)
     if fit is None or not found(fit):
         return Plausibility((*findings, _no_wall(phasor, wall, reference is not None)), None)
+    if spoilt := tuple(fit_defects(phasor, fit)):
+        return Plausibility((*findings, *spoilt), fit)
     compared = reference is not None
     place = _elsewhere(fit, compared, known_shift_m) if self_calibrated else _place(fit, compared)
     return Plausibility((*findings, *place, *_scatter(fit)), fit)
@@ -110,7 +119,8 @@ def check_reference(reference: Phasors, wall: ExpectedWall) -> tuple[Finding, ..
     ValueError : another shape than that of the expected wall, or values that are not finite.
     """
     reference = without_unit(reference, wall)
-    findings = _amplitudes_and_conventions(reference, wall, free_offsets=True)
+    findings = tuple(image_defects(reference, wall.frequencies_hz))
+    findings = findings or _amplitudes_and_conventions(reference, wall, free_offsets=True)
     if not any(finding.refused for finding in findings):
         fit = locate_wall(reference, wall)
         if fit is None or not found(fit):

@@ -285,7 +285,7 @@ def test_a_capture_of_a_camera_is_right_within_its_shot_noise(tmp_path):
     )
     raw = np.round(gain * rng.poisson(mean_e, (count, *mean_e.shape)) + offset + 500).astype(np.uint16)
     raw[:, 3, 4] = 7  # dead
-    raw[2, 5, 6, 1, 2, 0] = 65000  # saturated once
+    raw[2, 5, 6, 1, 2, 0] = 2**15 - 1  # saturated once
     capture = capture_of(raw_of(sidecar := sidecar_of(tmp_path, bits=15), raw=raw), sidecar)
     assert capture.frequencies_hz == FREQUENCIES_HZ
     missing = np.zeros((18, 26), bool)

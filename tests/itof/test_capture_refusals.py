@@ -39,7 +39,7 @@ FRAMES = {
     "every number at 50 MHz is 0: a missing frequency?": changed((*ALL, 1), 0),
     "tap 1 does not change with the light at 20 MHz: is it stuck": changed((..., 1), 77),
     "tap 0 does not change with the light at 60 MHz": changed((*ALL, 2, slice(None), 0), 500),
-    "all pixels are saturated: capture with a shorter exposure": RAW + 4095,
+    "all pixels are saturated: capture with a shorter exposure": np.maximum(RAW, 4095),
     "8-bit numbers are too coarse": (RAW / RAW.max() * 255).astype(np.uint8),
     "holds 2e+30, and 1e+30 is the most: write it in another unit": changed((0, 0, 0, 0), 2e30),
     "holds at most 1.186e-197, which is too small: write it in another unit": RAW * 1e-200,
@@ -71,6 +71,34 @@ def test_arrays_that_lack_an_axis_and_images_without_light_are_refused(tmp_path)
         capture_of(raw_of(sidecar, re=frames.real, im=frames.imag), sidecar)
 
 
+FULL = np.minimum(np.round(5000 * RAW / RAW.max()), 4095).astype(np.uint16)  # at 12 bits
+ALIGNED = {
+    "stop at 4095 (12 bits), which many reach": ({"bits": 16}, FULL, "give bits = 12"),
+    "stop at 4095 (12 bits)": ({}, FULL, "give bits = 12"),
+    "stop at 65520 (12 bits, left-aligned)": ({"bits": 16}, 16 * FULL, "give saturation_dn = 65520"),
+    "hold 65520, and 12 bits hold at most 4095": (
+        {"bits": 12},
+        16 * FULL,
+        "all are multiples of 16, left-aligned: give saturation_dn = 65520",
+    ),
+    "hold 4095, and 10 bits hold at most 1023": ({"bits": 10}, FULL, "give the true bits: 12?"),
+    "stop at 3000, which many reach": ({"bits": 12}, np.minimum(FULL, 3000), "give saturation_dn = 3000"),
+}
+
+
+@pytest.mark.parametrize("words", ALIGNED)
+def test_numbers_that_stop_below_the_range_or_are_above_it_are_refused_with_their_bits(tmp_path, words):
+    changes, raw, advice = ALIGNED[words]
+    sidecar = sidecar_of(tmp_path, **changes)
+    with pytest.raises(CaptureError) as refused:
+        sensor_pixels(raw_of(sidecar, raw=raw), sidecar)
+    assert words in str(refused.value)
+    assert str(refused.value).endswith(advice)
+    key = advice.rpartition("give ")[2].replace("the true bits: 12?", "bits = 12").split(" = ")
+    sidecar = sidecar_of(tmp_path, **(changes | {key[0]: int(key[1])}))
+    assert 0.005 < sensor_pixels(raw_of(sidecar, raw=raw), sidecar).saturated.mean() < 0.5
+
+
 PHASES = {"layout": "amplitude-phase", "arrays": ["p"], "amplitude_arrays": ["a"]}
 DEPTHS = PHASES | {"layout": "amplitude-depth"}
 UNITS = {
@@ -81,6 +109,9 @@ UNITS = {
         np.where(PHASE > 3, 4096, 0),
     ),
     "m: millimetres?": (DEPTHS, np.full(PHASE.shape, 1500.0)),
+    "above 347 m: millimetres? centimetres?": (DEPTHS, np.full(PHASE.shape, 347.0)),
+    "above 150 m: centimetres? inches?": (DEPTHS, np.full(PHASE.shape, 150.0)),
+    "above 1e+06 m: in which unit are they?": (DEPTHS, np.full(PHASE.shape, 1e6)),
     "mm: metres?": (DEPTHS | {"depth_unit": "mm"}, np.full(PHASE.shape, 1.5)),
 }
 

@@ -71,10 +71,31 @@ def noisy_frequency(z, wall):
     return z
 
 
+def rounded_to_8_bits(z, wall):
+    step = np.abs(z).max() / 127
+    return step * (np.round(z.real / step) + 1j * np.round(z.imag / step))
+
+
+def half_shifted(z, wall):
+    half = len(z) // 2
+    return np.concatenate([z[:half], np.roll(z[half:], 1, axis=1)])
+
+
+def of_one_depth(z, wall):
+    depth_m = (np.angle(z[..., 0]) % (2 * np.pi)) / wall.slope[0]
+    return np.abs(z[..., :1]) * np.exp(1j * wall.slope * depth_m[..., None])
+
+
+def planes_mixed(z, wall):
+    """Planes Re, Re, Re, Im, Im, Im taken as Re, Im, Re, Im, Re, Im."""
+    planes = np.concatenate([z.real, z.imag], axis=-1)
+    return planes[..., ::2] + 1j * planes[..., 1::2]
+
+
 # What is done to (phasors, wall) of three frequencies, the code of the finding, and words of its sentence.
 DEFECTS = {
-    "noise": (lambda z, w: noise(z.shape), "no-wall", "no wall found"),
-    "random phases": (lambda z, w: np.abs(z) * np.exp(1j * np.angle(noise(z.shape))), "no-wall", "no wall"),
+    "noise": (lambda z, w: noise(z.shape), "no-wall", "are noise"),
+    "random phases": (lambda z, w: np.abs(z) * np.exp(1j * np.angle(noise(z.shape))), "no-wall", "are noise"),
     "ones": (lambda z, w: np.ones_like(z), "no-wall", "the phase is the same in all pixels"),
     "one phase": (lambda z, w: np.abs(z) * np.exp(0.3j), "no-wall", "the phase is the same in all pixels"),
     "darkness": (lambda z, w: 0 * z, "no-wall", "no pixel holds light"),
@@ -104,11 +125,26 @@ DEFECTS = {
         "convention",
         "at 60 MHz: the phase falls with distance",
     ),
-    "one frequency is noise": (noisy_frequency, "no-wall", "no wall found at 20 MHz"),
+    "one frequency is noise": (noisy_frequency, "no-wall", "the phases at 20 MHz are noise"),
     "5 cm farther": (lambda z, w: farther(z, w, 0.05), "wall-moved", "cm farther away"),
     "5 cm nearer": (lambda z, w: farther(z, w, -0.05), "wall-moved", "cm nearer"),
     "70 cm farther": (lambda z, w: farther(z, w, 0.7), "wall-moved", "cm farther away"),
     "uncalibrated": (lambda z, w: z * np.exp(1j * np.array([0.5, 1.4, -2.0])), "phase-offsets", "off by"),
     "20 mrad": (lambda z, w: z * np.exp(0.02j), "phase-offsets", "off by"),
     "much noise": (lambda z, w: z * (1 + 0.2 * noise(z.shape)), "scatter", "too noisy?"),
+}
+
+# The same of what is no image of a scene, whatever it shows.
+IMAGE_DEFECTS = {
+    "one row": (lambda z, w: np.repeat(z[9:10], len(z), 0), "convention", "rows of the image are copies"),
+    "rolled": (lambda z, w: np.roll(z, 1, 1), "convention", "rolled: its first 1 columns"),
+    "rows in pairs": (
+        lambda z, w: z.reshape(-1, 2, *z.shape[1:])[:, ::-1].reshape(z.shape),
+        "convention",
+        "rows of the image seem exchanged in pairs",
+    ),
+    "half shifted": (half_shifted, "convention", "a seam near row"),
+    "8 bits": (rounded_to_8_bits, "no-hidden-light", "different numbers"),
+    "one depth": (of_one_depth, "no-hidden-light", "no hidden light can be in it"),
+    "planes mixed": (planes_mixed, "convention", "the real part at 20 MHz and the imaginary part at 50 MHz"),
 }
