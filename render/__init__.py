@@ -1,9 +1,9 @@
 """Rendering: transients, phasors and ground truth of the scenes of a dataset, with Mitsuba 3.
 
 Here: settings, options of the methods, the device, `rendering` (one scene to its files) and `mirror_panels`
-(the mirror trick in pictures). Sub-packages: `transport` (the physics), `farm` (many scenes), `products`
-(what is made of renders). May import `scenegen` and `itof`. The names below are loaded at their first use,
-so importing this package does not load Mitsuba.
+(the mirror trick in pictures). Sub-packages: `transport` (the physics), `walls` (their edges), `farm` (many
+scenes), `products` (what is made of renders). May import `scenegen` and `itof`. The names below
+are loaded at their first use, so importing this package does not load Mitsuba.
 """
 
 import lazy_loader

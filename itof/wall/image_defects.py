@@ -74,7 +74,8 @@ def fit_defects(phasor: Phasors, fit: RobustFit) -> Iterator[Finding]:
 
 def _one_depth(phasor: Phasors, fit: RobustFit) -> bool:
     """Whether one depth explains the phases (H, W, F) at all frequencies, and is not that of a plane."""
-    used, slope = fit.weight > 0, fit.wall.slope
+    # the nearer half: far pixels may be beyond the unambiguous range
+    used, slope = fit.weight >= np.median(fit.weight[fit.weight > 0]), fit.wall.slope
     angle, rays = np.angle(phasor[used]), fit.wall.rays[used]
     depth_m = np.maximum(unwrap_depth(angle, fit.wall.frequencies_hz), _NEAREST_M)
     left = np.angle(np.exp(1j * (angle - slope * depth_m[:, None])))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from render.backend import Device
 from render.batch.hidden import HiddenRatios
 from render.batch.tables import Scenes, World
-from render.walls import PixelLines
+from render.walls.pixel_lines import PixelLines
 from scenegen.scene import Scene
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh

@@ -17,7 +17,7 @@ from render.batch.chebyshev import chebyshev
 from render.batch.quadrics import Hiding, quadric_of
 from render.batch.surface_points import UnitPoints, divided_points, surface_points
 from render.batch.tables import PlacedObject, Scenes
-from render.walls import Corners
+from render.walls.corners import Corners
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 

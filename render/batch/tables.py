@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from itof import phase_per_metre
 from render.backend import Device, select_variant
 from render.batch.quadrics import Hiding, is_convex, quadric_of
-from render.walls import Corners
+from render.walls.corners import Corners
 from scenegen.mitsuba_description import ROUGH_WALL_INDEX
 from scenegen.pose import rotation_matrix
 from scenegen.scene import HiddenObject, RelayWall, Scene

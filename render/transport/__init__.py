@@ -2,5 +2,6 @@
 
 Here: the rendering methods `many-light` and `path`, and the mirror trick. `lights` makes virtual lights,
 `passes` computes what the pixels get, `film` divides the image, and `kernels` runs in DrJit. Works on scenes
-in memory, not on files or datasets. May import `render.options` and `itof`; no other sub-package of `render`.
+in memory, not on files or datasets. May import `render.options`, `render.walls` and `itof`; nothing else of
+`render`.
 """

@@ -14,8 +14,9 @@ from render.options import ManyLightOptions
 from render.transport.film.pixels import Grid, group_sums
 from render.transport.many_light import hidden_rule
 from render.transport.passes.node_counts import RULE_ERROR, PixelRange, needed_order
-from render.walls import Corners, crossed_pixels
-from render.walls import free_nodes as nodes_of_lines
+from render.walls.corners import Corners
+from render.walls.pixel_lines import crossed_pixels
+from render.walls.pixel_lines import free_nodes as nodes_of_lines
 
 LAYOUT = TransientLayout(24, 18, 2000, 0.01, 0.0)
 BRUTE = 64  # nodes in the width and in the height of a pixel

@@ -28,7 +28,7 @@ def direct_return(
     Parameters
     ----------
     left, size : of a pixel on the film z = 1.
-    lines : `render.walls.PixelLines.lines`; a pixel has those from `first` to before `last`.
+    lines : `render.walls.pixel_lines.PixelLines.lines`; a pixel has those from `first` to before `last`.
     """
     wall, count = Wall(batch, scene), len(batch.phase_per_metre)
     re, im = [mi.Float(0) for _ in range(count)], [mi.Float(0) for _ in range(count)]

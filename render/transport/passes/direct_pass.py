@@ -28,7 +28,8 @@ from render.transport.passes.direct_samples import (
 )
 from render.transport.passes.node_counts import MOST_NODES, PixelRange, needed_order, rule_error
 from render.transport.passes.seen_walls import seen_walls
-from render.walls import Corners, crossed_pixels, free_nodes
+from render.walls.corners import Corners
+from render.walls.pixel_lines import crossed_pixels, free_nodes
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.transport.lights.hidden_surface import hidden_shapes
-from render.walls import Corners, Rectangles
+from render.walls.corners import Corners, Rectangles
 
 if TYPE_CHECKING:
     import mitsuba as mi
