@@ -94,6 +94,7 @@ class RobustFit(WallFit):
     ----------
     wall : the expected wall.
     known_rad : (F,) standard deviations of the offsets that the fit started from; infinite if none are known.
+    over_known : offsets, without four-cycle errors, over these: root mean square.
     plane_covariance : (3, 3) of `plane_per_m`, 1/m², with smooth errors (`itof.wall.robust_solution`).
     offsets_std_rad : (F,) standard deviations of the offsets, with smooth errors.
     shift_m : (H, W) L - L_0, metres along the ray; 0 in pixels that were not used.
@@ -106,6 +107,7 @@ class RobustFit(WallFit):
 
     wall: ExpectedWall
     known_rad: Floats
+    over_known: float
     plane_covariance: Floats
     offsets_std_rad: Floats
     shift_m: Floats
@@ -117,8 +119,7 @@ class RobustFit(WallFit):
     @property
     def is_as_known(self) -> bool:
         """Whether the image shows a wall at every frequency, with offsets as small as they should be."""
-        times = float(np.sqrt(((self.offsets_rad / self.known_rad) ** 2).mean()))
-        return self.shows_wall and self.expects_offsets and times <= _LARGEST_OFFSET
+        return self.shows_wall and self.expects_offsets and self.over_known <= _LARGEST_OFFSET
 
     @property
     def expects_offsets(self) -> bool:
@@ -258,7 +259,8 @@ def fit_wall(
     thin = problem.thinned(max(1, len(z) // MOST_PIXELS))
     plane, local, covariance = robust_solution(thin, start, known)
     # Offsets that are larger than they should be say that the rest is, too (Birge's ratio).
-    covariance = covariance * max(1.0, float(((local[:, 0] / known) ** 2).mean()))
+    over_known = float(np.sqrt(((local[:, 0] / known) ** 2).mean()))
+    covariance = covariance * max(1.0, over_known**2)
     residual = problem.residual(plane, local[:, :1])
     weight = problem.weight[0]
     waves = (local[:, 1:, None] * four_cycles_of(residual.depth_m, problem.pixels.slope)).sum(axis=1)
@@ -273,6 +275,7 @@ def fit_wall(
         wiggling_rad=None,
         wall=wall,
         known_rad=known,
+        over_known=over_known,
         plane_covariance=covariance[:3, :3],
         offsets_std_rad=np.sqrt(np.maximum(np.diag(covariance)[3::3], 0.0)),
         shift_m=_image(used, shift_m),
