@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from itof.light import OFFSET_STD_RAD
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.cameras import load_sensor
 from itof.unwrapping import combined_range_m
 from itof.wall.expected_wall import ExpectedWall, angle_deg
 from itof.wall.unknown_wall import see_wall
-from itof.wall.wall_fit import OFFSET_STD_RAD
 
 SENSORS = ("ideal", "opt8241", "mlx75027", "calibrated", "sixteen-steps", "cheap")
 FREQUENCIES_HZ = ((20e6, 50e6, 60e6), (40e6, 70e6), (20e6, 100e6), (20e6,), (20e6, 50e6, 60e6))

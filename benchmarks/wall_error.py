@@ -4,23 +4,39 @@ The measurements stay the same. The wall that the run knows is moved along its n
 vertical; the phases of all frequencies are changed, with alternating signs. Run:
 
     .venv/bin/python benchmarks/wall_error.py myrun mydata
+
+With --captured, the reference is a capture of the empty corner, which shows the true phases, and its wall
+alone is taken to be elsewhere.
 """
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from ablations import judged
 
+from itof.wall.empty_corner import captured_at
+from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
 from model.data.shards import open_shards
-from model.prediction.predictor import load
+from model.prediction.predictor import Predictor, load
 from scenegen import open_dataset
 
 SMALL = [(mm, 0.0, 0.0) for mm in (0, 0.1, 0.2, 0.5, 1, 2, 5, 10)]
+CAPTURED = [(100.0, 0.0, 0.0), *((0.0, turn_deg, 0.0) for turn_deg in (0, 0.25, 0.5, 1, 2))]
 ERRORS = [*SMALL, (0.0, 0.5, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 5.0), (10.0, 1.0, 5.0)]  # mm, degrees, mrad
+
+
+@dataclass(frozen=True)
+class WithWall(Predictor):
+    """A predictor that takes the wall to be where it is told."""
+
+    known: ExpectedWall | None = None
+
+    def _wall(self, reference: object) -> ExpectedWall | None:
+        return self.known
 
 
 def main() -> None:
@@ -29,14 +45,19 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--scenes", type=int, default=400, help="test scenes, default 400")
+    parser.add_argument("--captured", action="store_true", help="the phases of the reference are right")
     given = parser.parse_args()
     predictor, shards = load(given.run), open_shards(open_dataset(given.dataset))
     rows = shards.rows("test")[: given.scenes]
     print(f"{len(rows)} test scenes\n")
     print("| wall off by | turned by | phases off by | MAE cm | mIoU |\n|---|---|---|---|---|")
-    for error_mm, turn_deg, offset_mrad in ERRORS:
+    for error_mm, turn_deg, offset_mrad in CAPTURED if given.captured else ERRORS:
         view = moved_wall(predictor.config.geometry, error_mm / 1000, turn_deg)
         moved = replace(predictor, config=replace(predictor.config, geometry=view))
+        if given.captured:
+            own = {each.name: getattr(predictor, each.name) for each in fields(predictor)}
+            there = captured_at(predictor.reference, predictor.wall, moved.wall.plane_per_m)
+            moved = WithWall(**own, known=there)
         signs = (-1.0) ** np.arange(len(predictor.config.inputs.frequencies_hz))
         turn = np.exp(1j * offset_mrad / 1000 * signs)  # (F,)
         summary = judged(moved, shards, rows, partial(np.multiply, turn))

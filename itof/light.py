@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 SPEED_OF_LIGHT: float = speed_of_light  # m/s, exact by SI definition
+OFFSET_STD_RAD = 0.1  # phase offsets of a camera that its maker calibrated, if nothing else is known: ours
 
 
 def phase_per_metre(frequency_hz: ArrayLike) -> NDArray[np.float64]:

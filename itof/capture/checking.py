@@ -23,10 +23,11 @@ from itof.capture.record import read_import_record
 from itof.capture.sidecar import MOST_FREQUENCIES, CaptureError, Sidecar
 from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_files import read_measurement
+from itof.light import OFFSET_STD_RAD
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding, length
 from itof.wall.plausibility import check_measurement
-from itof.wall.wall_fit import OFFSET_STD_RAD, RobustFit
+from itof.wall.wall_fit import RobustFit
 
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked
 _REFERENCE = "the reference: "

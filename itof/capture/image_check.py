@@ -13,14 +13,14 @@ from itof import combined_range_m
 from itof.arrays import Floats, Phasors
 from itof.capture.demodulating import WALLS_M
 from itof.capture.facts import CaptureFacts, milliradians
-from itof.light import megahertz
+from itof.light import OFFSET_STD_RAD, megahertz
 from itof.wall.brightness import DEAD_NOTED, SATURATED_NOTED, brightness_findings
 from itof.wall.finding import Finding, length
 from itof.wall.frequency_defects import other_frequency
 from itof.wall.image_defects import fit_defects, image_defects
 from itof.wall.plausibility import MISFIT_NOTED_RAD, SCATTER_REFUSED_RAD
 from itof.wall.unknown_wall import see_wall
-from itof.wall.wall_fit import OFFSET_STD_RAD, WALL_SHARE, RobustFit, without_unit
+from itof.wall.wall_fit import WALL_SHARE, RobustFit, without_unit
 
 NEAREST_M, FARTHEST_M = WALLS_M
 NOT_FLAT_RAD: Final = 0.01  # smooth phases over a plane, root mean square; hidden light is 1 to 3 mrad

@@ -22,7 +22,7 @@ from disk.quantities import (
     Radians,
 )
 from itof.capture.phase_steps import phasor_weights
-from itof.wall.wall_fit import OFFSET_STD_RAD
+from itof.light import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
 MOST_FREQUENCIES = 16

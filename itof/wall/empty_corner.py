@@ -2,8 +2,8 @@
 
 A capture of the empty corner takes the camera's errors out of a measurement. It does not say by itself where
 its wall is. Self-calibration takes some dimensions of the hidden light out of the channels, which depend on
-how the wall is turned, and hardly on its distance: for `night-80x60`, 10 cm change nothing, and 0.25, 0.5 and
-1 degrees raise an MAE of 0.91 cm to 1.1, 1.4 and 2.2 cm (benchmarks/wall_error.py). So a capture whose
+how the wall is turned, and hardly on its distance: for `night-80x60`, 10 cm change nothing, and 0.25, 0.5, 1
+and 2 degrees raise an MAE of 0.89 cm to 1.0, 1.3, 1.9 and 3.2 cm (`benchmarks/wall_error.py --captured`). So a capture whose
 distance is uncertain still says what a prediction needs.
 """
 
@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from itof.arrays import Floats, Phasors
+from itof.light import OFFSET_STD_RAD
 from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m, strength_elsewhere
 from itof.wall.finding import length
-from itof.wall.wall_fit import OFFSET_STD_RAD, plane_std
+from itof.wall.wall_fit import plane_std
 from itof.wall.wall_phases import WallRays
 from itof.wall.wall_search import found, locate_wall
 
@@ -132,10 +133,13 @@ def captured_wall(corner: Phasors, wall: ExpectedWall) -> ExpectedWall:
     -------
     The wall, with `corner` as its return, the plane of the capture, and weights in any unit.
     """
-    seen, captured = find_wall([corner], wall), wall.captured(corner)
-    if not seen.is_certain:
-        return captured
-    pixels = WallRays.of(wall)
-    depth_m, meets = pixels.depth_m(seen.plane_per_m)
+    seen = find_wall([corner], wall)
+    return captured_at(corner, wall, seen.plane_per_m) if seen.is_certain else wall.captured(corner)
+
+
+def captured_at(corner: Phasors, wall: ExpectedWall, plane_per_m: Floats) -> ExpectedWall:
+    """The expected wall in another plane (3,), with the return of a capture (H, W, F) of the empty corner."""
+    pixels, captured = WallRays.of(wall), wall.captured(corner)
+    depth_m, meets = pixels.depth_m(plane_per_m)
     share = (strength_elsewhere(pixels.expected_depth_m, depth_m) * meets).reshape(wall.meets.shape)
-    return replace(captured, plane_per_m=seen.plane_per_m, strength=captured.strength * share)
+    return replace(captured, plane_per_m=plane_per_m, strength=captured.strength * share)

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from itof.arrays import Floats, Phasors
-from itof.light import phase_per_metre
+from itof.light import OFFSET_STD_RAD, phase_per_metre
 from itof.pinhole import pixel_rays
 from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane
 from itof.wall.phase_defects import CLEAR, GOOD, OBLONG_AXES, TURNS, order_text
-from itof.wall.wall_fit import OFFSET_STD_RAD, RobustFit, without_unit
+from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import best_fit, plane_from_nothing
 
 _MOST_PIXELS = 2000  # of a trial

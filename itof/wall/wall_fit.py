@@ -22,13 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.frequency_images import FrequencyImages, Slopes
+from itof.light import OFFSET_STD_RAD
 from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m, inverse_depth_of_plane
 from itof.wall.robust_solution import four_cycles_of, robust_solution
 from itof.wall.turned_reference import PixelMean
 from itof.wall.wall_phases import WallPhases, WallRays, four_cycles
 
 FITS_RAD: Final = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
-OFFSET_STD_RAD: Final = 0.1  # of a camera of which nothing else is known
 _LARGEST_OFFSET = 3.0  # root mean square, in standard deviations, of a camera that is what it was taken for
 _KNOWN_PART = 0.1  # of a distance that is known
 WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall

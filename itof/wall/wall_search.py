@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from itof.arrays import Floats, Phasors
-from itof.light import phase
+from itof.light import OFFSET_STD_RAD, phase
 from itof.pinhole import pixel_rays
 from itof.unwrapping import combined_range_m, unwrap_depth
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.wall_fit import (
     MOST_PIXELS,
-    OFFSET_STD_RAD,
     RobustFit,
     fit_wall,
     pixel_weights,

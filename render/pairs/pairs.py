@@ -15,9 +15,9 @@ from itof import DepthMap, megahertz, phasor_channels, write_image
 from itof.capture.record import read_import_record
 from itof.files.measurement_files import Measurement, read_measurement
 from itof.files.measurement_writing import ENDINGS
+from itof.light import OFFSET_STD_RAD
 from itof.wall.empty_corner import CapturedPlane, find_wall
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.wall_fit import OFFSET_STD_RAD
 from itof.wall.wall_view import WallView
 from itof.weighted_reference import weighted_reference
 from render.pairs.relay_wall import relay_wall_at

@@ -5,8 +5,9 @@ import pytest
 from wall_measurements import FOV_DEG, FREQUENCIES_HZ, SLANTED, moved, noise, returned, wall_of_plane
 
 from itof import direct_phasors
+from itof.light import OFFSET_STD_RAD
 from itof.wall.expected_wall import ExpectedWall
-from itof.wall.wall_fit import MOST_PIXELS, OFFSET_STD_RAD, fit_wall
+from itof.wall.wall_fit import MOST_PIXELS, fit_wall
 from itof.wall.wall_search import found, locate_wall, plane_from_nothing
 
 OFFSETS_RAD = np.array([0.3, -0.005, 0.02])
