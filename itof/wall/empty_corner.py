@@ -3,8 +3,8 @@
 A capture of the empty corner takes the camera's errors out of a measurement. It does not say by itself where
 its wall is. Self-calibration takes some dimensions of the hidden light out of the channels, which depend on
 how the wall is turned, and hardly on its distance: for `night-80x60`, 10 cm change nothing, and 0.25, 0.5, 1
-and 2 degrees raise an MAE of 0.89 cm to 1.0, 1.3, 1.9 and 3.2 cm (`benchmarks/wall_error.py --captured`). So a capture whose
-distance is uncertain still says what a prediction needs.
+and 2 degrees raise an MAE of 0.89 cm to 1.0, 1.3, 1.9 and 3.2 cm (`benchmarks/wall_error.py --captured`). So
+a capture whose distance is uncertain still says what a prediction needs.
 """
 
 from __future__ import annotations

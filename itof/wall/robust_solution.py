@@ -10,7 +10,7 @@ is known of the unknowns beforehand (Gaussian, mean 0, variances P) is a ridge o
 
     x = (N + u / P)^-1 (right side),    covariance = (N + u / P)^-1 (s N + u² / P) (N + u / P)^-1
 
-with u = v + (1 mrad)², because a fit may hide a smooth error, and s = v + (4 mrad)², because a camera may
+with u = v + (1 mrad)², because a fit may hide a smooth error, and s = v + (3 mrad)², because a camera may
 hide a larger one, such as the light scattered in a lens. For u = s this is the covariance of Bayes' rule; a
 smaller u trusts the image more.
 """
@@ -26,7 +26,7 @@ from itof.arrays import Floats
 from itof.wall.wall_phases import Residual, WallPhases
 
 _SMOOTH_RAD: Final = 1e-3  # for the fit: errors that it may hide;
-_STATED_RAD: Final = 4e-3  # for its covariance
+_STATED_RAD: Final = 3e-3  # for its covariance
 WAVES_STD_RAD: Final = 0.05  # of both four-cycle errors: 70 mrad together, as square waves have
 _DEGREE = 3  # of the polynomials
 _STEPS = 40  # at most; ten to twenty are usual

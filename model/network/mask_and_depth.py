@@ -66,10 +66,16 @@ class MaskAndDepth(Readout):
         return self.mask(output) * self._depth_of_output_m(output)
 
     def depth_error_m(self, output: Tensor) -> Tensor | None:
-        """(N, H, W) expected absolute error of the depth of an object pixel, metres; None without a third
-        channel.
+        """(N, H, W) expected absolute error of the depth of an object pixel, metres, at most the range of
+        depths; None without a third channel.
         """
-        return self.depth_spread_m * log_error(output).exp() if self.has_uncertainty else None
+        if not self.has_uncertainty:
+            return None
+        return (self.depth_spread_m * log_error(output).exp()).clamp(max=self._farthest_m)
+
+    @property
+    def _farthest_m(self) -> float:
+        return float(unambiguous_range_m(self.frequency_hz))
 
     def standardised(self, radial_depth_m: Tensor) -> Tensor:
         """The output that stands for this depth, metres."""
@@ -77,8 +83,8 @@ class MaskAndDepth(Readout):
 
     def _depth_of_output_m(self, output: Tensor) -> Tensor:
         """(N, H, W) depth of every pixel, metres, within the range that the phasor can express."""
-        farthest_m = float(unambiguous_range_m(self.frequency_hz))
-        return (self.depth_mean_m + self.depth_spread_m * output[:, 1]).clamp(0.0, farthest_m * (1 - 1e-6))
+        farthest_m = self._farthest_m * (1 - 1e-6)
+        return (self.depth_mean_m + self.depth_spread_m * output[:, 1]).clamp(0.0, farthest_m)
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,16 @@ def expected_mae_m(prediction: DepthMap) -> float:
 
     The amplitude of the phasor is the probability p that a pixel shows the object, at the depth d of its
     phase. A pixel of the mask is background with probability 1 - p, another one shows the object with
-    probability p; the error is then d. Errors of the depth on the object are not in it; they add little,
-    because an object covers 3 % of the image.
+    probability p; the error is then d. A pixel of the mask that shows the object has the error that the
+    network expects of its depth; 0 if it expects none.
     """
     probability = probabilities(prediction.phasor)
     depth_m = depth_from_phase(np.angle(prediction.phasor) % (2 * np.pi), prediction.frequency_hz)
     wrong = np.where(prediction.mask, 1 - probability, probability)  # (H, W)
-    return float((wrong * depth_m).mean())
+    error_m = wrong * depth_m
+    if prediction.depth_error_m is not None:
+        error_m = error_m + np.where(prediction.mask, probability * prediction.depth_error_m, 0.0)
+    return float(error_m.mean())
 
 
 def probabilities(phasor: NDArray[np.complexfloating[Any, Any]]) -> NDArray[np.float64]:

@@ -35,6 +35,7 @@ PREDICTION_SCHEMA: Final = 6
 _KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6)  # of earlier predictions, which are replaced
 _SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
+_LEAST_TOLD_M: Final = 1e-3
 
 
 class PredictionError(NightError):
@@ -68,7 +69,7 @@ class PredictedImage:
     @property
     def sentence(self) -> str:
         """The outcome as text."""
-        own = "" if self.expected_mae_m is None else f"; expected MAE {100 * self.expected_mae_m:.1f} cm"
+        own = "" if self.expected_mae_m is None else f"; expected MAE {_centimetres(self.expected_mae_m)}"
         if self.median_radial_depth_m is None:
             return f"image {self.name}: no pixel shows an object, so it has no point cloud{own}"
         return (
@@ -79,7 +80,12 @@ class PredictedImage:
     @property
     def _depth_error(self) -> str:
         error_m = self.expected_depth_error_m
-        return "" if error_m is None else f"; expected error of the depth {100 * error_m:.1f} cm"
+        return "" if error_m is None else f"; expected error of the depth {_centimetres(error_m)}"
+
+
+def _centimetres(error_m: float) -> str:
+    """An error as text; no network knows that it makes none."""
+    return f"{100 * error_m:.1f} cm" if error_m >= _LEAST_TOLD_M else f"below {100 * _LEAST_TOLD_M:g} cm"
 
 
 @dataclass(frozen=True)

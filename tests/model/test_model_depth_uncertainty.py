@@ -52,6 +52,8 @@ def test_the_expected_error_of_a_hand_made_output():
     error_m = READOUT.depth_error_m(output)
     expected_m = torch.tensor([[[0.5, 0.05, 0.5 * math.exp(-LARGEST_LOG_ERROR)]]])
     torch.testing.assert_close(error_m, expected_m)
+    largest = outputs([[1.0]], [[0.0]], [[1e9]])  # of a measurement unlike any of the training
+    assert READOUT.depth_error_m(largest).item() == pytest.approx(7.495, abs=1e-3)  # c / 2f at 20 MHz
     assert replace(READOUT, has_uncertainty=False).depth_error_m(output) is None
 
 
@@ -175,7 +177,7 @@ def test_factors_of_several_processes_and_batches_are_those_of_all_pixels():
     whole = fit.result(lambda tensor: tensor)
     assert both.error_factor == pytest.approx(whole.error_factor, rel=1e-12)
     assert both.logit_factor == pytest.approx(whole.logit_factor, rel=1e-9)
-    ratio = 0.5 * output[:, 1].abs() / READOUT.depth_error_m(output)
+    ratio = output[:, 1].abs() / output[:, 2].exp()
     assert whole.error_factor == pytest.approx(float(ratio[mask > 0].double().mean()), rel=1e-6)
     nothing = UncertaintyFit(READOUT, torch.device("cpu"))
     nothing.add(output, depth_m, torch.zeros_like(mask))

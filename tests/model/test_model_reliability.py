@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,14 @@ def test_a_network_whose_probabilities_hold_expects_the_error_that_it_makes():
         p * d if p < 0.5 else (1 - p) * d for p, d in zip(probability.flat, depth_m.flat, strict=True)
     ]
     assert own_m == pytest.approx(np.mean(by_hand_m))
+    # Errors of the depth where there is an object, with the mean size that the network expects.
+    unsure, actual_m = replace(prediction, depth_error_m=np.full(mask.shape, 0.3)), []
+    for _ in range(50):
+        truth = rng.random(probability.shape) < probability
+        off_m = depth_m + rng.choice([-0.3, 0.3], mask.shape)
+        actual_m.append(image_metrics(mask * depth_m, mask, truth * off_m, truth).depth_mae_m)
+    own_m = expected_mae_m(unsure)
+    assert abs(np.mean(actual_m) - own_m) < 4 * np.std(actual_m) / np.sqrt(len(actual_m))
     sure = DepthMap(mask * depth_m, mask, mask * phasor_of_return(depth_m, FREQUENCY_HZ), FREQUENCY_HZ)
     assert expected_mae_m(sure) == pytest.approx(0, abs=1e-12)
 
