@@ -111,7 +111,8 @@ def test_a_capture_of_the_empty_corner_takes_its_own_errors_along(self_run, shar
     error = np.exp(0.02j * np.sin(0.5 * x + 0.9 * y))[..., None]  # of each pixel, no plane and no offset
     capture = 7 * predictor.reference * error
     straight, captured = (predictor.predict(*a).phasor for a in ((phasors,), (phasors * error, capture)))
-    np.testing.assert_allclose(captured, straight, atol=0.02 * np.abs(straight).max())
+    # They turn the wall that the capture shows by some tenths of a degree.
+    np.testing.assert_allclose(captured, straight, atol=0.06 * np.abs(straight).max())
     assert np.abs(predictor.predict(phasors * error).phasor - straight).max() > 0.1 * np.abs(straight).max()
 
 
@@ -120,7 +121,7 @@ def test_it_is_told_where_a_capture_of_the_empty_corner_shows_the_wall(
 ):
     predictor, phasors = load(self_run, "cpu"), shards.read([0]).phasors
     there = elsewhere(predictor).wall
-    unsure = there.direct * np.exp(0.3j * np.random.default_rng(0).standard_normal(there.direct.shape))
+    unsure = there.direct * np.exp(0.6j * np.random.default_rng(0).standard_normal(there.direct.shape))
     told = {}
     for name, corner in (("there", there.direct), ("unsure", unsure), ("computed", predictor.reference)):
         file = write_npz(tmp_path / f"{name}.npz", phasors=phasors, reference=corner)
@@ -132,7 +133,7 @@ def test_it_is_told_where_a_capture_of_the_empty_corner_shows_the_wall(
         )
     np.testing.assert_allclose(told["there"][0]["plane_per_m"], there.plane_per_m, atol=1e-3)
     assert told["there"][0]["used"]
-    assert " farther than expected and turned by " in told["there"][1][0]
+    assert " farther than expected, uncertain by " in told["there"][1][0]
     assert not told["unsure"][0]["used"]
     assert told["unsure"][1][0].endswith("so the wall is taken to be where it is expected")
     assert told["computed"] == (None, [])

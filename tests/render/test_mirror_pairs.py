@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from measurements import write_npz
 from night_commands import night_here, refusal
 from synthetic_dataset import closed_form
 from training_runs import settings
@@ -305,7 +306,10 @@ def test_folders_that_are_no_pairs_are_refused_in_a_sentence(pair_folders, tmp_p
     imported = tmp_path / "imported"
     imported.mkdir()
     for name in ("measurement", "mirror"):
-        import_capture(pair_folders[0] / f"{name}.npz", sidecar, imported / f"{name}.npz")
+        z = np.load(pair_folders[0] / f"{name}.npz")["phasors"]
+        z = z * (1 + 1e-4 * np.random.default_rng(0).standard_normal(z.shape))  # no two rows are the same
+        frames = write_npz(tmp_path / f"{name}.npz", phasors=z)
+        import_capture(frames, sidecar, imported / f"{name}.npz")
     said = refusal(*basis, imported, "--preset", wide, *rest[2:])
     assert "is 60.00 degrees wide and the camera of the preset 70" in said
     (small / "mirror.npz").write_bytes(b"PK")
