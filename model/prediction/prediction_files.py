@@ -23,6 +23,7 @@ from itof.wall.check_result import MeasurementCheck, WallSummary
 from itof.wall.empty_corner import CapturedPlane
 from itof.wall.wall_fit import RobustFit
 from itof.wall.wall_search import locate_wall
+from model.prediction.explained_light import ExplainedLight
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.run_folder.shipped import run_folder
@@ -30,7 +31,7 @@ from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
-# 5 no uncertainty of the wall's distance and angle.
+# 5 no uncertainty of the wall's distance and angle, and no `light`.
 PREDICTION_SCHEMA: Final = 6
 _KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6)  # of earlier predictions, which are replaced
 _SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
@@ -56,6 +57,7 @@ class PredictedImage:
     expected_mae_m : MAE over all pixels that the network expects, metres; None without probabilities.
     expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
         if it expects none, or without an object.
+    light : hidden light, and how much of it the depth map explains; None without residual channels.
     """
 
     name: str
@@ -65,11 +67,13 @@ class PredictedImage:
     wall: WallSummary | None
     expected_mae_m: float | None = None
     expected_depth_error_m: float | None = None
+    light: ExplainedLight | None = None
 
     @property
     def sentence(self) -> str:
         """The outcome as text."""
         own = "" if self.expected_mae_m is None else f"; expected MAE {_centimetres(self.expected_mae_m)}"
+        own += "" if self.light is None else f"; {self.light.words}"
         if self.median_radial_depth_m is None:
             return f"image {self.name}: no pixel shows an object, so it has no point cloud{own}"
         return (
@@ -229,7 +233,9 @@ def _predict_all(
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
                 wall = check.walls[start + index]
-                image = _write(folder, name, predictions[index], wall, predictor, about)
+                one = predictions[index]
+                light = predictor.explained_light(batch[index], one, measured.reference)
+                image = replace(_write(folder, name, one, wall, predictor, about), light=light)
                 if wall is not None:
                     fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
                     image = _with_wall(folder, image, fit, predictor, about)

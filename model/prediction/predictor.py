@@ -23,6 +23,7 @@ from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet, average_with_flip
 from model.prediction.expected_error import expected_mae_m
+from model.prediction.explained_light import ExplainedLight, explained_light
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
@@ -150,6 +151,15 @@ class Predictor:
                 f"or several such images, got {z.shape}"
             )
         _refuse_not_phasors(z, "the measurement")
+
+    def explained_light(
+        self, phasor: ArrayLike, prediction: DepthMap, reference: ArrayLike | None = None
+    ) -> ExplainedLight | None:
+        """How much of the hidden light of an image (H, W, F) its prediction explains; None without channels
+        of the residual. `reference` is that of `predict`.
+        """
+        wall = self._wall(reference)
+        return None if wall is None else explained_light(self.config.inputs, phasor, wall, prediction)
 
     def _wall(self, reference: ArrayLike | None) -> ExpectedWall | None:
         """The wall with the reference to use; None if the channels need none, so that it is not computed."""

@@ -1,0 +1,104 @@
+"""Whether a predicted depth map explains the light that was measured.
+
+The hidden light of the predicted surface (`model.prediction.surface_light`) goes the way of the measured one:
+it is added to the wall's return as the image shows it, and becomes channels, so that it loses the same
+dimensions to the self-calibration. What it leaves, beyond noise, is not explained. Its strength is free,
+because the brightness of the object and of the wall's lobe are not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from itof import DepthMap, residual_channels
+from itof.arrays import Bools, Floats, Phasors
+from itof.wall.expected_wall import ExpectedWall
+from model.network.channels import InputSpec
+from model.prediction.surface_light import surface_light
+
+_WEAK: Final = 2e-3  # of the direct return: as much hidden light as there may be
+_SIGMAS: Final = 5.0  # of the energy of noise: less light tells nothing
+
+
+@dataclass(frozen=True)
+class ExplainedLight:
+    """Hidden light of an image, relative to its direct return, and what a prediction explains of it.
+
+    Attributes
+    ----------
+    strength : root mean square of what is not the wall's, without noise; 0 if noise hides it.
+    noise : of a pixel.
+    share : part of its energy that the predicted surface explains, at most 1; 0 without an object; None if
+        noise hides it.
+    """
+
+    strength: float
+    noise: float
+    share: float | None
+
+    @property
+    def words(self) -> str:
+        """The outcome as text."""
+        if self.share is None:
+            return "noise hides the hidden light"
+        return (
+            f"{100 * self.share:.0f} % of the hidden light is explained, which is {1e3 * self.strength:.2g} "
+            "per mille of the direct light"
+        )
+
+
+def explained_light(
+    inputs: InputSpec, phasor: ArrayLike, wall: ExpectedWall, prediction: DepthMap
+) -> ExplainedLight:
+    """Compare the hidden light of an image (H, W, F) with that of its prediction.
+
+    Parameters
+    ----------
+    inputs : of a network with residual channels.
+    wall : as `Predictor.predict` takes it, with the computed or captured return.
+    """
+    z = np.asarray(phasor, dtype=np.complex128)
+    measured, direct = _light(inputs, z, wall)
+    used = (measured != 0).all(axis=0)
+    noise, alike = _noise_energy(measured, used)  # of a value
+    count = max(int(used.sum()) * len(measured), 1)
+    energy = float((measured[:, used] ** 2).sum()) - count * noise
+    if energy <= _SIGMAS * noise * count * np.sqrt(2 / alike):
+        return ExplainedLight(0.0, float(np.sqrt(noise)), None)
+    share = 0.0
+    hidden = surface_light(np.asarray(prediction.radial_depth_m, np.float64), prediction.mask, wall)
+    largest = float(np.abs(hidden).max())
+    if largest > 0:
+        weak = _WEAK * float(np.abs(direct).max()) / largest * hidden
+        model = _light(inputs, direct + weak, wall)[0] - _light(inputs, direct, wall)[0]
+        model = model * used
+        along = float((measured * model).sum())
+        share = max(along, 0.0) ** 2 / float((model**2).sum()) / energy
+    return ExplainedLight(float(np.sqrt(energy / count)), float(np.sqrt(noise)), min(share, 1.0))
+
+
+def _light(inputs: InputSpec, z: Phasors, wall: ExpectedWall) -> tuple[Floats, Phasors]:
+    """Residual channels (C, H, W) relative to the mean direct return, and the direct return (H, W, F)."""
+    reference = np.asarray(inputs.parted(inputs.reference_of_image(z[None], wall))[0])
+    direct = np.broadcast_to(reference, (1, *z.shape))
+    strength = np.abs(z[..., 0])
+    as_bright = direct[0] * (strength / np.maximum(np.abs(direct[0, ..., 0]), 1e-300))[..., None]
+    residual = residual_channels(z[None], direct, "uniform", wall_alone=inputs.wall_alone)[0]
+    return np.asarray(residual, np.float64) * strength / strength.mean(), as_bright
+
+
+def _noise_energy(light: Floats, used: Bools) -> tuple[float, float]:
+    """Mean square of the noise of (C, H, W), by second differences in a row; and of how many values.
+
+    Values of equal noise have a mean fourth power of three times the squared mean square; bright pixels count
+    for more than others, so they are as good as fewer values.
+    """
+    row = used[:, 2:] & used[:, 1:-1] & used[:, :-2]
+    bend = (light[..., 2:] - 2 * light[..., 1:-1] + light[..., :-2])[:, row]
+    square = float((bend**2).mean()) if bend.size else 0.0
+    fourth = float((bend**4).mean()) if bend.size else 0.0
+    return square / 6, max(3 * bend.size * square**2 / fourth, 1.0) if fourth > 0 else 1.0

@@ -1,0 +1,86 @@
+"""The hidden light of a predicted surface: what a camera would see if a depth map were true.
+
+Light goes from the projector, which is at the camera, to the wall, to the surface, back to the wall and to
+the camera. It factorises at the surface: its points are lit by the wall (W x P terms), and light the pixels
+(P x H W terms). All reflections are diffuse, and nothing is hidden by anything else. The source is
+`render.batch`'s equation; this is its coarse form for surfaces that are no solids, without Mitsuba.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from itof.arrays import Bools, Floats, Phasors
+from itof.light import phase_per_metre
+from itof.wall.expected_wall import ExpectedWall
+
+_LIT, _SEEN = 300, 1200  # pixels, about, that light the surface, and that it lights: spread over the image
+_STEEPEST: Final = 0.15  # cosine to the ray: steeper pixels are jumps from one surface to another
+
+
+def surface_light(radial_depth_m: Floats, mask: Bools, wall: ExpectedWall) -> Phasors:
+    """(H, W, F) phasors of the light that has met the surface, in any unit; all 0 without a surface.
+
+    Parameters
+    ----------
+    radial_depth_m : (H, W) of the mirror image of the surface, metres.
+    mask : (H, W) its pixels.
+    wall : the relay wall where it is.
+    """
+    rays, plane = np.asarray(wall.rays), np.asarray(wall.plane_per_m)
+    normal = plane / np.linalg.norm(plane)  # away from the camera
+    points, normals, area = _patches(radial_depth_m, mask, rays)
+    points = points - 2 * ((points @ plane - 1) / (plane @ plane))[:, None] * plane
+    normals = normals - 2 * (normals @ normal)[:, None] * normal
+    depth_m = np.asarray(wall.radial_depth_m)
+
+    def ways(step: int) -> tuple[Floats, Floats]:
+        """Both cosines over the square of the distance to every point, and the way from the camera."""
+        there = depth_m[::step, ::step].reshape(-1)
+        meets = np.isfinite(there)
+        there = np.where(meets, there, 1.0)
+        apart = points - (rays[::step, ::step].reshape(-1, 3) * there[:, None])[:, None]  # (n, P, 3)
+        distance_m = np.linalg.norm(apart, axis=-1)
+        from_wall = np.maximum(-(apart @ normal), 0.0)
+        to_wall = np.maximum(-np.einsum("npk,pk->np", apart, normals), 0.0)
+        return meets[:, None] * from_wall * to_wall / distance_m**4, distance_m + there[:, None]
+
+    lit_step, step = (max(1, math.isqrt(mask.size // count)) for count in (_LIT, _SEEN))
+    (lit, lit_m), (seen, seen_m) = ways(lit_step), ways(step)
+    found = []
+    for slope in phase_per_metre(wall.frequencies_hz):
+        at_surface = (lit * np.exp(1j * slope * lit_m)).sum(axis=0) * area
+        found.append((seen * np.exp(1j * slope * seen_m)) @ at_surface)
+    height, width = mask.shape
+    coarse = np.stack(found, axis=-1).reshape(*depth_m[::step, ::step].shape, -1)
+    fine: Phasors = coarse.repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
+    return fine
+
+
+def _patches(radial_depth_m: Floats, mask: Bools, rays: Floats) -> tuple[Floats, Floats, Floats]:
+    """Points (P, 3), unit normals towards the camera (P, 3) and areas (P,) of the pixels of a mask."""
+    place = rays * radial_depth_m[..., None]
+    across, down = _differences(place, mask, 1), _differences(place, mask, 0)
+    normal = np.cross(across, down)
+    area = np.linalg.norm(normal, axis=-1)
+    used = mask & (area > 0)
+    points, normals, area = place[used], normal[used] / area[used][:, None], area[used]
+    normals = normals * -np.sign((normals * points).sum(axis=-1))[:, None]
+    straight = (points**2).sum(axis=-1) * np.square(np.linalg.norm(rays[0, 1] - rays[0, 0]))
+    return points, normals, np.minimum(area, straight / _STEEPEST)
+
+
+def _differences(place: Floats, mask: Bools, axis: int) -> Floats:
+    """(H, W, 3) steps to the next pixel of the mask, or from the last one; 0 where there is neither."""
+    step = np.diff(place, axis=axis)
+    both = np.moveaxis(mask, axis, 0)[1:] & np.moveaxis(mask, axis, 0)[:-1]
+    step = np.where(np.moveaxis(both, 0, axis)[..., None], step, 0.0)
+    pad = [(0, 0)] * 3
+    pad[axis] = (0, 1)
+    ahead = np.pad(step, pad)
+    pad[axis] = (1, 0)
+    behind = np.pad(step, pad)
+    return np.where((ahead != 0).any(axis=-1, keepdims=True), ahead, behind)

@@ -1,0 +1,58 @@
+"""How much of the hidden light a depth map explains, against rendered scenes."""
+
+import numpy as np
+import pytest
+from wall_measurements import expected_wall_of, noise, phasors_of
+
+from itof import DepthMap
+from model.prediction.explained_light import explained_light
+from model.prediction.predictor import load
+from scenegen import open_dataset
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def scenes(seven_renders):
+    """Channels of a shipped network, the wall, and phasors and true depth map of seven rendered scenes."""
+    dataset = open_dataset(seven_renders)
+    images = [
+        (phasors_of(dataset, each), DepthMap.read(dataset.render_folder(each) / "mirrored.exr"))
+        for each in dataset.ids()
+    ]
+    return load("night-40x30", "cpu").config.inputs, expected_wall_of(dataset), images
+
+
+def test_the_truth_explains_the_light_of_a_scene_and_no_other_scene_does(scenes):
+    inputs, wall, images = scenes
+    others = [truth for _, truth in images[1:]] + [images[0][1]]
+    for (z, truth), other in zip(images, others, strict=True):
+        light = explained_light(inputs, z, wall, truth)
+        # Nine pixels do not show how a sheet is bent.
+        assert light.share > (0.6 if truth.mask.sum() < 10 else 0.9)
+        assert 1e-4 < light.strength < 2e-2
+        assert explained_light(inputs, 7e3 * z, wall, truth).share == pytest.approx(light.share, rel=1e-4)
+        assert explained_light(inputs, z, wall, other).share < light.share
+
+
+def test_light_of_two_scenes_at_different_frequencies_is_not_explained(scenes):
+    inputs, wall, images = scenes
+    (one, truth), (other, _) = images[:2]
+    mixed = np.concatenate([other[..., :1], one[..., 1:]], axis=-1)
+    assert explained_light(inputs, mixed, wall, truth).share < 0.5
+
+
+def test_without_an_object_nothing_is_explained_and_noise_is_no_light(scenes):
+    inputs, wall, images = scenes
+    z, truth = images[0]
+    nothing = DepthMap.of_object(0 * truth.radial_depth_m, np.zeros_like(truth.mask), 20e6)
+    light = explained_light(inputs, z, wall, nothing)
+    assert light.share == 0
+    assert light.strength > 1e-4
+    grain = noise(z.shape)
+    for prediction in (nothing, truth):
+        light = explained_light(inputs, wall.direct * (1 + 3e-3 * grain), wall, prediction)
+        assert light.share is None
+        assert light.words == "noise hides the hidden light"
+    noisy = explained_light(inputs, z * (1 + 1e-4 * grain), wall, truth)
+    assert noisy.share == pytest.approx(explained_light(inputs, z, wall, truth).share, abs=0.05)
