@@ -257,7 +257,7 @@ def test_a_check_whose_worker_is_killed_says_so(pipeline):
 @pytest.mark.long
 def test_the_processes_of_a_training_that_ends_in_one_of_them_end_too(pipeline, tmp_path):
     (program,) = words("night-train")
-    exploding = ("--batch-size", 2, "--learning-rate", 1e300, "--set", "run.checkpoint_minutes=0")
+    exploding = ("--batch-size", 2, "--learning-rate", 1e37, "--set", "run.checkpoint_minutes=0")
     options = ("--out", tmp_path / "run", "--width", 2, "--max-epochs", 3, "--device", "cpu", *exploding)
     done = night("torchrun", "--nproc-per-node", 2, program, pipeline.folder / "data", *options)
     said = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]

@@ -44,8 +44,10 @@ def _rectangle(shape: mi.Shape, axes: NDArray[np.float64], origin: NDArray[np.fl
     """A mesh in the axes of a camera; None if it is no rectangle of two triangles."""
     import mitsuba as mi
 
-    parameters = mi.traverse(shape)
     if not shape.is_mesh() or shape.vertex_count() != 4 or shape.face_count() != 2:
+        return None
+    parameters = mi.traverse(shape)
+    if "vertex_positions" not in parameters:
         return None
     first, *others = (np.array(parameters["vertex_positions"], dtype=float).reshape(4, 3) - origin) @ axes.T
     one, two, across = sorted((other - first for other in others), key=np.linalg.norm)  # the diagonal last
