@@ -151,6 +151,6 @@ def test_the_hidden_part_of_a_wall_with_texture_or_bumps_is_interpolated_as_well
     # In the transient as well: what an image with the object has more than one without lights.
     phi = MeasurementMatrix(FREQUENCIES_HZ, 1400, 0.01, splat="quadratic")
     dark = replace(exposure, field=None)
-    vars(dark)["_direct"] = exposure._direct  # whose nodes depend on how strong the hidden part is
+    vars(dark).update(_direct=exposure._direct, _rule=exposure._rule)  # nodes that the hidden part needs
     with_lights, without = (phi.apply(np.concatenate(list(one.row_blocks()))) for one in (exposure, dark))
     assert np.all(relative(with_lights - without, image.hidden) < 0.005)
