@@ -15,6 +15,7 @@ from render.transport.film.pixels import group_sums
 from render.transport.passes.direct_pass import DirectImage
 
 _EDGE_POINTS = 8  # for each surface in a pixel that sees several
+_WILD = 4.0  # weights over the carrier's, from which a polynomial extrapolates
 _NARROWEST = 1e-4  # of a pixel: what is narrower is a line
 _ALIKE = 1e-9  # polynomials that differ by less of their squares on points that lie on a line
 _CURVE_BITS = 9  # of each coordinate of a space-filling curve through such a pixel: its smallest cells
@@ -55,7 +56,7 @@ class ChosenPoints:
     def means(
         self, values: NDArray[np.complex128], carrier: NDArray[np.complex128], whole: NDArray[np.complex128]
     ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """(G, F) part of each group in its pixel: by linear and by quadratic polynomials for value / carrier.
+        """(G, F) part of each group in its pixel: by polynomials of degree 1 and 2 for value / carrier.
 
         The weights of the chosen points are those of the plain mean with the least change by which the
         products of the carrier and all polynomials have their sums over the whole group.
@@ -73,12 +74,17 @@ class ChosenPoints:
         weighted = whole * self.seen_weights[:, None]
         moments = np.stack([self.totals(weighted * each[:, None]) for each in all_powers])  # (6, G, F)
         lacks = np.moveaxis(moments, 0, 1) - np.einsum("igk,gkf->gif", powers, start)
-        dark, found = (start == 0).any(axis=(1, 2))[:, None], []
-        for count in (3, 6):
+        dark, found = (start == 0).any(axis=(1, 2))[:, None], [plain, plain]
+        most = _WILD * self.totals(np.abs(weighted))
+        for count in (1, 3, 6):
             p = powers[:count].transpose(1, 0, 2)
             inverse = np.linalg.pinv(p @ p.transpose(0, 2, 1), rcond=_ALIKE, hermitian=True)
             change = np.einsum("gik,gij,gjf->gkf", p, inverse, lacks[:, :count], optimize=True)
-            found.append(np.where(dark, plain, ((start + change) * ratio).sum(axis=1)))
+            by_degree = ((start + change) * ratio).sum(axis=1)
+            kept = dark | (
+                np.abs(start + change).sum(axis=1) > most
+            )  # a carrier with steps: the degree before
+            found = [np.where(kept, found[0], found[1]), np.where(kept, found[1], by_degree)]
         return found[0], found[1]
 
     def _powers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
