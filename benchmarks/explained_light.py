@@ -50,11 +50,11 @@ def main() -> None:
     )
     print("|---|---|---|---|---|")
     for name, images in kinds.items():
-        found = [predictor.predict(image) for image in images]
-        lights = [predictor.explained_light(*pair) for pair in zip(images, found, strict=True)]
+        found = predictor.predict(images)
+        lights = predictor.explained_light(images, found)
         shares = [light.share for light in lights if light is not None and light.share is not None]
         told = ", ".join(f"{each:.2f}" for each in np.quantile(shares, QUANTILES)) if shares else ""
-        has = sum(bool(each.mask.any()) for each in found)
+        has = int(found.mask.any(axis=(1, 2)).sum())
         strength = 1e3 * np.median([light.strength for light in lights if light is not None])
         print(f"| {name} | {has} | {len(images) - len(shares)} | {told} | {strength:.2g} |", flush=True)
 

@@ -244,9 +244,9 @@ def _place(wall: WallSummary, away_m: float | None) -> str:
             f"{offsets}; {left}"
         )
     return (
-        f"the wall's distance is unknown: phase offsets of {offsets}, give or take "
-        f"{milliradians(wall.offsets_std_rad)}, are far more than those of a camera whose sidecar gives no "
-        f"phase_offsets_rad and no larger phase_offsets_std_rad; {left}"
+        f"the wall's distance is unknown, because the phase offsets are too large: {offsets}, give or take "
+        f"{milliradians(wall.offsets_std_rad)}; measure them, and write them into the sidecar as "
+        f"phase_offsets_rad; {left}"
     )
 
 

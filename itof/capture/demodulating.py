@@ -21,10 +21,8 @@ from itof.light import megahertz
 _STUCK = 0.01  # response of a tap over that of the taps that respond most
 _WHOLE_TURN = 1.05  # periods that phases may span, with some slack for offsets
 _NEAREST_M, _FARTHEST_M = 0.05, 20.0  # median depth; others must be in another unit
-WALLS_M: Final[tuple[float, float]] = (
-    0.2,
-    6.0,
-)  # distances of walls; those of the paper are 1 to 3 m away; ours
+# Distances of walls, ours; those of the paper are 1 to 3 m away.
+WALLS_M: Final[tuple[float, float]] = (0.2, 6.0)
 _UNITS = {"millimetres": 1000.0, "metres": 1.0, "centimetres": 100.0, "inches": 1 / 0.0254}  # in a metre
 
 Complexes = NDArray[np.complex128]

@@ -81,7 +81,7 @@ def check_image(
     if _is_even(phasor):
         words = "no wall found: the phase is the same in all pixels"
         return ImageCheck((Finding("no-wall", words, True),), fit, ())
-    if fit.wall_share.min() < WALL_SHARE:
+    if not fit.shows_wall:
         return ImageCheck((_no_wall(fit),), fit, ())
     if spoilt := tuple(fit_defects(phasor, fit)):
         return ImageCheck(spoilt, fit, ())

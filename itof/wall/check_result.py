@@ -22,7 +22,7 @@ class WallSummary:
     mean_shift_std_m : standard deviation of the mean, metres, with errors that are smooth over the image.
     distance_std_m, tilt_std_deg : the same for the wall's distance along its normal, metres, and its angle,
         degrees.
-    distance_is_known : whether the phase offsets are small enough for a distance.
+    distance_is_known : whether the phase offsets are as small as they should be.
     distance_shift_m : change of the wall's distance from the camera, metres; > 0: farther away.
     tilt_deg : angle between both walls, degrees.
     plane_per_m : (3,) the wall's plane m in camera axes (right, down, forward), 1/m: its distance along the

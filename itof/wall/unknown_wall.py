@@ -71,7 +71,7 @@ def _explained(whole: _Trial) -> tuple[_Trial, RobustFit, tuple[str, ...]]:
     """The measurement with that put right which makes it fit much better, its fit, and what was wrong."""
     best, fit = whole, _best(whole.thinned())
     defects: tuple[str, ...] = ()
-    if fit.mismatch > (_WAVES if fit.is_as_known else _SUSPECT):
+    if fit.mismatch > (_WAVES if fit.distance_is_known else _SUSPECT):
         limit = min(GOOD, CLEAR * fit.mismatch)
         for parts, other in _others(whole):
             trial = _best(other.thinned())
@@ -136,7 +136,7 @@ def _best(trial: _Trial) -> RobustFit:
             continue
         if best is None or fit.mismatch < best.mismatch:
             best = fit
-        if best.is_as_known or best.mismatch < _SUSPECT:
+        if best.distance_is_known or best.mismatch < _SUSPECT:
             break
         known = (np.inf,)
     if best is None:

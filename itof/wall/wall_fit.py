@@ -3,7 +3,7 @@
 `itof.wall.wall_phases` has the equation. The robust fit has a phase offset and a four-cycle error for each
 frequency. Only the curvature of the distance over the image tells an offset from a distance, and smooth
 errors bend it. So the fit needs to know how large the camera's errors may be: a camera that its maker
-calibrated has offsets of about 0.1 rad (the real files of docs/guide/captures.md: 0.1 and 0.05 rad).
+calibrated has offsets of about 0.1 rad (-0.1 and 0.05 rad in a file of a TI OPT8241, github lllray/tof-net).
 
 *Weights of the robust fit.* A pixel has the weight |z|², the inverse of its phase variance under noise of
 equal strength in all pixels, but at most |d|² in the same unit, so that a single bright pixel has no power.
@@ -30,7 +30,6 @@ from itof.wall.wall_phases import WallPhases, WallRays, four_cycles
 
 FITS_RAD: Final = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
 _LARGEST_OFFSET = 3.0  # root mean square, in standard deviations, of a camera that is what it was taken for
-_KNOWN_PART = 0.1  # of a distance that is known
 WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall
 MOST_PIXELS: Final = 2**14  # that decide a robust fit, evenly spread: more cost time and tell nothing new
 _DARK = 1e-12  # amplitude over the largest one of the image
@@ -117,14 +116,10 @@ class RobustFit(WallFit):
     mean_shift_std_m: float
 
     @property
-    def is_as_known(self) -> bool:
-        """Whether the image shows a wall at every frequency, with offsets as small as they should be."""
-        return self.shows_wall and self.expects_offsets and self.over_known <= _LARGEST_OFFSET
-
-    @property
-    def expects_offsets(self) -> bool:
-        """Whether it was known how large the offsets may be."""
-        return bool(np.isfinite(self.known_rad).all())
+    def distance_is_known(self) -> bool:
+        """Whether there is a wall at every frequency, with offsets as small as they should be."""
+        is_expected = bool(np.isfinite(self.known_rad).all())
+        return self.shows_wall and is_expected and self.over_known <= _LARGEST_OFFSET
 
     @property
     def shows_wall(self) -> bool:
@@ -140,11 +135,6 @@ class RobustFit(WallFit):
     def tilt_std_deg(self) -> float:
         """Root mean square angle between the true wall and the fitted one, degrees."""
         return plane_std(self.plane_per_m, self.plane_covariance)[1]
-
-    @property
-    def distance_is_known(self) -> bool:
-        """Whether the stated uncertainty leaves a distance to speak of."""
-        return self.expects_offsets and self.distance_std_m <= _KNOWN_PART * distance_m(self.plane_per_m)
 
     @property
     def mean_shift_m(self) -> float:

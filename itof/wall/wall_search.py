@@ -43,13 +43,13 @@ def locate_wall(
         if direct is not None:
             return best_fit(phasor, wall.captured(direct), offset_std_rad=offset_std_rad)
         near = best_fit(phasor, wall, offset_std_rad=offset_std_rad)
-        if near.is_as_known:
+        if near.distance_is_known:
             return near
         far = best_fit(phasor, wall, plane_from_nothing(phasor, wall), offset_std_rad=offset_std_rad)
     except ValueError:  # too few pixels
         return None
-    if far.is_as_known or not near.shows_wall:
-        return max(near, far, key=lambda each: (each.is_as_known, float(each.wall_share.mean())))
+    if far.distance_is_known or not near.shows_wall:
+        return max(near, far, key=lambda each: (each.distance_is_known, float(each.wall_share.mean())))
     return near
 
 
@@ -124,7 +124,7 @@ def best_fit(
 ) -> RobustFit:
     """The fit from one start (`itof.wall.wall_fit.fit_wall`); any offsets if the known ones do not do."""
     fit = fit_wall(phasor, wall, offset_std_rad=offset_std_rad, start_per_m=start_per_m)
-    if fit.is_as_known:
+    if fit.distance_is_known:
         return fit
     free = fit_wall(phasor, wall, offset_std_rad=np.inf, start_per_m=start_per_m)
     return min(fit, free, key=lambda each: each.mismatch)

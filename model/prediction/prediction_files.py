@@ -229,13 +229,13 @@ def _predict_all(
                 predictions = predictor.predict(batch, measured.reference, rescale=rescale)
             except InputError as error:
                 raise MeasurementError(f"{measured.path}, batch from image {start}: {error}") from None
+            lights = predictor.explained_light(batch, predictions, measured.reference)
             for index in range(len(batch)):
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
                 wall = check.walls[start + index]
-                one = predictions[index]
-                light = predictor.explained_light(batch[index], one, measured.reference)
-                image = replace(_write(folder, name, one, wall, predictor, about), light=light)
+                image = _write(folder, name, predictions[index], wall, predictor, about)
+                image = replace(image, light=lights[index])
                 if wall is not None:
                     fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
                     image = _with_wall(folder, image, fit, predictor, about)

@@ -153,13 +153,17 @@ class Predictor:
         _refuse_not_phasors(z, "the measurement")
 
     def explained_light(
-        self, phasor: ArrayLike, prediction: DepthMap, reference: ArrayLike | None = None
-    ) -> ExplainedLight | None:
-        """How much of the hidden light of an image (H, W, F) its prediction explains; None without channels
-        of the residual. `reference` is that of `predict`.
+        self, phasors: ArrayLike, predictions: DepthMap, reference: ArrayLike | None = None
+    ) -> tuple[ExplainedLight | None, ...]:
+        """How much of the hidden light of images (N, H, W, F) their predictions explain.
+
+        None for a network without residual channels. `reference` is that of `predict`, whose errors it has.
         """
-        wall = self._wall(reference)
-        return None if wall is None else explained_light(self.config.inputs, phasor, wall, prediction)
+        wall, images = self._wall(reference), np.asarray(phasors)
+        return tuple(
+            None if wall is None else explained_light(self.config.inputs, image, wall, predictions[place])
+            for place, image in enumerate(images)
+        )
 
     def _wall(self, reference: ArrayLike | None) -> ExpectedWall | None:
         """The wall with the reference to use; None if the channels need none, so that it is not computed."""
