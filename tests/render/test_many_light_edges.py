@@ -76,6 +76,19 @@ def test_a_ray_that_meets_no_wall_returns_zero(variant, tmp_path, fov_deg, size,
     assert seen.sum() > 0.5 * seen.size
 
 
+def test_a_wall_whose_edge_is_in_every_pixel_returns_what_finer_pixels_return(variant, tmp_path):
+    corner = OddCorner((ball(),), fov_deg=76, size=(8, 6), wall_half_m=0.3, has_middle_wall=False)
+    sizes = (8, 6), (64, 48)
+    coarse, fine = (
+        measure(corner.but(size=size).load(tmp_path), variant, lights=256, layout=layout_of(*size))
+        for size in sizes
+    )
+    for part in ("direct", "hidden"):
+        off = getattr(coarse, part) - getattr(fine, part).reshape(6, 8, 8, 8, -1).mean(axis=(1, 3))
+        allowed = coarse.error * np.linalg.norm(coarse.hidden) + fine.error * np.linalg.norm(fine.hidden) / 8
+        assert np.linalg.norm(off) < allowed
+
+
 def test_rays_that_miss_leave_the_other_pixels_as_they_are(variant, tmp_path):
     # Twice the image plane with pixels of the same size: the middle of the image is the narrow image. The
     # projector of the narrow camera lights both. Rays on the right miss the wall.

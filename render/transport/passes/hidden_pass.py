@@ -86,9 +86,9 @@ class HiddenField:
         Also how much it still changes, relative to it.
         """
         whole = np.flatnonzero(direct.surface.ravel() > 0)
-        pixels = np.unique(
-            whole[np.linspace(0, max(len(whole) - 1, 0), _CHECKED_PIXELS if len(whole) else 0).astype(int)]
-        )
+        if not len(whole):
+            return rule, 0.0
+        pixels = np.unique(whole[np.linspace(0, len(whole) - 1, _CHECKED_PIXELS).astype(int)])
         mean = self._carrier_means(grid, rule, pixels)
         while True:
             finer = gauss_rule(len(rule.nodes) + 1)
