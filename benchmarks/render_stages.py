@@ -42,7 +42,7 @@ STAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("itof.exr.transient", "TransientWriter.write_rows"),
         ("render.rendering", "write_record"),
     ),
-    "wait for the disk (fsync)": (("disk.whole_files", "_sync"),),
+    "wait for the disk (fsync)": (("disk.whole_writing", "_sync"),),
 }
 
 

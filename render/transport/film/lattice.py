@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation
 
+_DEGREE = 3  # of the splines
 _MARGIN = 2  # cells around an invalid node that are not interpolated; a spline forgets 0.27 per cell
 
 
@@ -82,13 +83,22 @@ class Lattice:
         rows = np.tensordot(down, table, axes=1)  # (Y, nodes, F)
         return np.einsum("ynf,xn->yxf", rows, across, optimize=True)
 
-    def interpolated_rows(
-        self, table: NDArray[np.float32], x: NDArray[np.float64], y: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """(Y, X, S) curves at all pairs of film positions, from curves at the nodes (rows, columns, S)."""
-        down, across = (_spline(n, at).astype(np.float32) for n, at in zip(self.shape, (y, x), strict=True))
-        rows = np.tensordot(down, table, axes=1)  # (Y, nodes, S)
-        return np.stack([across @ row for row in rows])
+    def spline_columns(self, table: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(rows, columns, S) coefficients of the splines along x through curves at the nodes, of this shape."""
+        coefficients = _unit_splines(self.shape[1]).c.astype(np.float32)
+        return np.stack([coefficients @ row for row in table])
+
+    def down(self, table: NDArray[np.float32], y: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(Y, columns, S) curves at film positions y (Y,), from curves at the nodes (rows, columns, S)."""
+        return np.tensordot(_spline(self.shape[0], y).astype(np.float32), table, axes=1)
+
+    def taps(self, x: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """First (X,) of the four coefficients of `spline_columns` that count at x (X,), and their weights.
+
+        The weights are (X, 4); all other coefficients have none.
+        """
+        design = BSpline.design_matrix(x, _unit_splines(self.shape[1]).t, _DEGREE)
+        return design.indices[:: _DEGREE + 1].astype(np.int64), design.data.reshape(-1, _DEGREE + 1)
 
 
 def filled(values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
@@ -130,7 +140,7 @@ def _shifted(values: NDArray[Any], axis: int, step: int) -> NDArray[Any]:
 @cache
 def _unit_splines(count: int) -> BSpline:
     """Cubic splines through each unit vector of `count` nodes on [0, 1], not-a-knot at the ends."""
-    return make_interp_spline(np.linspace(0, 1, count), np.eye(count), k=3)
+    return make_interp_spline(np.linspace(0, 1, count), np.eye(count), k=_DEGREE)
 
 
 def _spline(count: int, at: NDArray[np.float64]) -> NDArray[np.float64]:

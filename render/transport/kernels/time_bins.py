@@ -86,6 +86,58 @@ def splat_samples(
 
 
 @dr.syntax
+def splat_trapezoids(
+    energy: mi.Float64,
+    middle: mi.Float64,
+    across: mi.Float64,
+    down: mi.Float64,
+    cell: mi.UInt32,
+    end: mi.UInt32,
+    first: mi.UInt32,
+    axis: TimeAxis,
+    bins: mi.Float,
+) -> mi.Float64:
+    """Add the cells from `cell` to `end` of each lane to the bins that begin at `first`.
+
+    The light of a cell is spread evenly over a parallelogram, of which the place on the time axis changes by
+    `across` and `down` from side to side, around `middle`; all three in bins. With F, the quadratic B-spline
+    integrated twice, the share of the bin at the distance u is
+
+        [F(u + (a + b)/2) - F(u + (a - b)/2) - F(u - (a - b)/2) + F(u - (a + b)/2)] / (a b).
+
+    Returns the energy that falls outside the time axis.
+    """
+    lost = mi.Float64(0)
+    while cell < end:
+        light, place = dr.gather(mi.Float64, energy, cell), dr.gather(mi.Float64, middle, cell)
+        a, b = dr.gather(mi.Float64, across, cell), dr.gather(mi.Float64, down, cell)
+        reach = (a + b) / 2 + 1.5
+        index = mi.Int32(dr.floor(place - reach))
+        last = mi.Int32(dr.floor(place + reach))
+        while index <= last:
+            off = mi.Float64(index) + 0.5 - place
+            part = _twice_integrated(off + (a + b) / 2) - _twice_integrated(off + (a - b) / 2)
+            part += _twice_integrated(off - (a + b) / 2) - _twice_integrated(off - (a - b) / 2)
+            part *= light / (a * b)
+            inside = (index >= 0) & (index < mi.Int32(axis.count))
+            lost += dr.select(inside, 0, part)
+            where = first + mi.UInt32(index)
+            dr.scatter_reduce(
+                dr.ReduceOp.Add, bins, mi.Float(part), where, inside & (part > 0), dr.ReduceMode.NoConflicts
+            )
+            index += 1
+        cell += 1
+    return lost
+
+
+def _twice_integrated(u: mi.Float64) -> mi.Float64:
+    """Quadratic B-spline, integrated twice from minus infinity: (u + |u|) / 2 beyond its ends."""
+    off = dr.abs(u)
+    outer, inner = dr.square(dr.maximum(1.5 - off, 0)), dr.square(dr.maximum(0.5 - off, 0))
+    return dr.maximum(u, 0) + (dr.square(outer) - 3 * dr.square(inner)) / 24
+
+
+@dr.syntax
 def splat_lights(
     scene: mi.Scene,
     si: mi.SurfaceInteraction3f,
@@ -162,6 +214,9 @@ def splat_relative(
 
 def add_shifted(
     values: mi.Float,
+    tap: mi.UInt32,
+    weights: list[mi.Float],
+    least: mi.Float,
     relative: TimeAxis,
     amplitude: mi.Float,
     shift: mi.Float,
@@ -172,8 +227,10 @@ def add_shifted(
 ) -> tuple[mi.Float, mi.Float]:
     """Add curves over a relative time axis to the bins of pixels, each delayed by its own `shift` (metres).
 
-    There is one lane for each of `window` bins of each curve; between samples, a curve is linear.
-    `amplitude`, `shift` and `pixel` belong to the curves. Returns what arrived and what was lost, by lane.
+    A curve is the sum of as many successive curves of `values` as there are `weights`, from the number `tap`
+    on. There is one lane for each of `window` bins of each curve; between samples, a curve is linear.
+    `tap`, `weights`, `amplitude`, `shift` and `pixel` belong to the curves; values up to `least` are no light.
+    Returns what arrived and what was lost, by lane.
     """
     lane, size = dr.arange(mi.UInt32, dr.width(amplitude) * window), dr.opaque(mi.UInt32, window)
     curve, step = lane // size, lane % size
@@ -184,13 +241,15 @@ def add_shifted(
     below = dr.floor(place)
     number, limit = mi.Int32(below), mi.Int32(relative.count)
     share = place - below
-    value = mi.Float(0)
+    value, first = mi.Float(0), dr.gather(mi.UInt32, tap, curve) * relative.count
     for offset, part in ((0, 1 - share), (1, share)):
         at = number + offset
         known = (at >= 0) & (at < limit)
-        value += part * dr.gather(mi.Float, values, curve * relative.count + mi.UInt32(at), known)
+        for row, weight in enumerate(weights):
+            sample = dr.gather(mi.Float, values, first + row * relative.count + mi.UInt32(at), known)
+            value += part * dr.gather(mi.Float, weight, curve) * sample
     # splines overshoot a little where the curve is nearly zero; no bin holds negative light
-    value = dr.maximum(value, 0) * dr.gather(mi.Float, amplitude, curve)
+    value = dr.select(value > least, value, 0) * dr.gather(mi.Float, amplitude, curve)
     inside = (index >= 0) & (index < mi.Int32(axis.count))
     first = dr.gather(mi.UInt32, pixel, curve) * axis.count
     dr.scatter_reduce(

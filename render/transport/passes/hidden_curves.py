@@ -29,6 +29,7 @@ _SLICES = 4  # of the lights at each node, so that all threads are busy
 # Of the largest value: what is smaller is taken as no light. The tails of the splines reach denormal numbers,
 # which some threads round to zero and others do not.
 _LEAST = 1e-7
+_MARGIN = _FINER  # samples around the light, where splines may reach
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,9 @@ class HiddenCurves:
 
     Attributes
     ----------
-    values : (rows, columns, S) samples of the curves, with the spread of a bin, over the carrier's amplitude.
+    coefficients : (rows, columns, S) splines along x through the samples of the curves, which have the spread
+        of a bin and are divided by the carrier's amplitude.
+    least : what is not above it is no light.
     valid : (N,) nodes that see `surface`.
     start_m, width_m : start and sample distance of the relative time axis, metres.
     """
@@ -45,7 +48,8 @@ class HiddenCurves:
     scene: mi.Scene
     centre: NDArray[np.float64]
     lattice: Lattice
-    values: NDArray[np.float32]
+    coefficients: NDArray[np.float32]
+    least: float
     valid: NDArray[np.bool_]
     surface: int
     start_m: float
@@ -71,32 +75,36 @@ class HiddenCurves:
         from render.transport.kernels import arrays, rays, time_bins, wall_light
 
         pixels = np.flatnonzero(smooth)
-        relative = time_bins.TimeAxis(self.values.shape[2], self.width_m, self.start_m)
-        length_m = self.values.shape[2] * self.width_m
+        relative = time_bins.TimeAxis(self.coefficients.shape[2], self.width_m, self.start_m)
+        length_m = self.coefficients.shape[2] * self.width_m
         window = int(length_m * float(axis.per_metre[0])) + 2
         there = mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in self.centre))
+        least, uploaded = dr.opaque(mi.Float, self.least), arrays.upload_indices(pixels)
         totals = []
-        for node, share in zip(rule.pixel_nodes, rule.pixel_weights, strict=True):
-            x = (np.arange(grid.width) + node[0]) / grid.width
-            y = (np.arange(*rows) + node[1]) / grid.height
-            curves = self.lattice.interpolated_rows(self.values, x, y).reshape(-1, self.values.shape[2])
-            curves[np.abs(curves) < _LEAST * self.values.max()] = 0
-            points = grid.points(rows[0] * grid.width + pixels, node[None])[:, 0]
-            si = rays.camera_hits(self.scene, *(arrays.upload(column) for column in points.T))
-            amplitude, path = wall_light.carrier_path(si, there)
-            dr.eval(amplitude, path)
-            found = time_bins.add_shifted(
-                arrays.upload(curves[pixels]),
-                relative,
-                amplitude * dr.opaque(mi.Float, float(share)),
-                path,
-                arrays.upload_indices(pixels),
-                axis,
-                window,
-                bins,
-            )
-            dr.eval(bins, found)
-            totals.append((dr.sum(found[0])[0], dr.sum(found[1])[0]))
+        for y, down in zip(rule.nodes, rule.weights, strict=True):
+            values = arrays.upload(self.lattice.down(self.coefficients, (np.arange(*rows) + y) / grid.height))
+            for x, across in zip(rule.nodes, rule.weights, strict=True):
+                tap, weights = self.lattice.taps((np.arange(grid.width) + x) / grid.width)
+                row, column = pixels // grid.width, pixels % grid.width
+                points = grid.points(rows[0] * grid.width + pixels, np.array([[x, y]]))[:, 0]
+                si = rays.camera_hits(self.scene, *(arrays.upload(axis) for axis in points.T))
+                amplitude, path = wall_light.carrier_path(si, there)
+                dr.eval(amplitude, path)
+                found = time_bins.add_shifted(
+                    values,
+                    arrays.upload_indices(row * self.lattice.shape[1] + tap[column]),
+                    [arrays.upload(each[column]) for each in weights.T],
+                    least,
+                    relative,
+                    amplitude * dr.opaque(mi.Float, float(across * down)),
+                    path,
+                    uploaded,
+                    axis,
+                    window,
+                    bins,
+                )
+                dr.eval(bins, found)
+                totals.append((dr.sum(found[0])[0], dr.sum(found[1])[0]))
         return totals
 
 
@@ -132,9 +140,20 @@ def make_curves(
         values[block] = _curves_at(scene, nodes[block], field, packets, (count, width_m, start_m))
     values[chosen] /= amplitude[chosen, None]
     table = filled(values.reshape(*lattice.shape, count), valid.reshape(lattice.shape))
-    spread = convolve1d(table, _bin_shape(), axis=2, mode="constant")
+    spread = convolve1d(table, _bin_shape(), axis=2, mode="constant").astype(np.float32)
+    least = _LEAST * float(spread.max())
+    lit = np.flatnonzero((spread > least).any(axis=(0, 1)))
+    first, last = (max(int(lit[0]) - _MARGIN, 0), int(lit[-1]) + 1 + _MARGIN) if len(lit) else (0, 1)
     return HiddenCurves(
-        scene, field.lights.centre, lattice, spread.astype(np.float32), valid, field.surface, start_m, width_m
+        scene,
+        field.lights.centre,
+        lattice,
+        lattice.spline_columns(spread[..., first:last]),
+        least,
+        valid,
+        field.surface,
+        start_m + first * width_m,
+        width_m,
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +16,12 @@ from numpy.typing import NDArray
 
 from disk import NightError
 from render.transport.film.lattice import Lattice
-from render.transport.film.pixels import LANES, Grid, PixelRule, gauss_rule
+from render.transport.film.pixels import Grid, PixelRule
 from render.transport.lights.hidden_surface import sobol_points
 from render.transport.method import View
-from render.transport.passes.direct_pass import DirectImage, bin_order
-from render.transport.passes.direct_samples import direct_lanes, sample_direct
+from render.transport.passes.direct_bins import DirectBins
+from render.transport.passes.direct_pass import DirectImage
+from render.transport.passes.direct_samples import sample_direct
 from render.transport.passes.edge_points import ChosenPoints, choose_points
 from render.transport.passes.gather_pass import carrier_path_m, carrier_paths
 from render.transport.passes.hidden_curves import make_curves
@@ -73,11 +73,10 @@ def transient_rows(
         field = None  # a black object
     layout = view.layout
     axis = TimeAxis(layout.bin_count, layout.bin_width_m, layout.start_opl_m)
-    order = bin_order(grid.width)
-    direct_part = _DirectPart(scene, grid, gauss_rule(order), direct, view.seed)
+    direct_part = DirectBins(scene, grid, direct, layout, view.seed)
     hidden_part = None if field is None else _HiddenPart(scene, view, grid, rule, direct, field)
     lost = arrived = 0.0
-    step = min(layout.rows_per_block, max(1, 4 * LANES // (grid.width * order**2)))
+    step = min(layout.rows_per_block, direct_part.rows_at_once)
     for start in range(0, grid.height, step):
         rows = (start, min(start + step, grid.height))
         bins = dr.zeros(mi.Float, (rows[1] - rows[0]) * grid.width * layout.bin_count)
@@ -115,51 +114,6 @@ def _arrivals_m(scene: mi.Scene, view: View, field: HiddenField | None) -> tuple
             max(ends[1], lit.max() + paths.max() + reach_m),
         ]
     return max(0.0, float(ends[0])), float(ends[1])
-
-
-@dataclass(frozen=True)
-class _DirectPart:
-    """The direct return of an image."""
-
-    scene: mi.Scene
-    grid: Grid
-    rule: PixelRule
-    image: DirectImage
-    seed: int
-
-    def add(self, rows: tuple[int, int], axis: TimeAxis, bins: mi.Float) -> tuple[float, float]:
-        """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
-        import drjit as dr
-
-        from render.transport.kernels import arrays, time_bins
-
-        first_pixel, last_pixel = rows[0] * self.grid.width, rows[1] * self.grid.width
-        edges, samples = self.image.edges, self.image.edge_samples
-        mine = np.flatnonzero((edges.pixel >= first_pixel) & (edges.pixel < last_pixel))
-        mine = mine[np.argsort(edges.pixel[mine], kind="stable")]
-        divided, counts = np.unique(edges.pixel[mine] - first_pixel, return_counts=True)
-        uniform = np.setdiff1d(np.arange(last_pixel - first_pixel), divided)
-        radiance, opl, _, weight, _ = direct_lanes(self.scene, self.grid, rows, self.rule, self.seed)
-        energy = radiance * weight
-        dr.eval(opl, energy)
-        totals = [(0.0, 0.0)]
-        for pixels, begin, count, path, share in (
-            (uniform, uniform * self.rule.count, self.rule.count, opl, energy),
-            (
-                divided,
-                np.cumsum(counts) - counts,
-                counts,
-                arrays.upload(samples.opl_m[mine]),
-                arrays.upload(samples.radiance[mine] * edges.weights[mine]),
-            ),
-        ):
-            if len(pixels):
-                first = arrays.upload_indices(pixels) * axis.count
-                ends = (arrays.upload_indices(begin), arrays.upload_indices(begin + count))
-                found = time_bins.splat_samples(path, share, *ends, first, axis, bins)
-                dr.eval(bins, found)
-                totals.append((dr.sum(found[0])[0], dr.sum(found[1])[0]))
-        return sum(total[0] for total in totals), sum(total[1] for total in totals)
 
 
 class _HiddenPart:
