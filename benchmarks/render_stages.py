@@ -34,7 +34,10 @@ STAGES: dict[str, tuple[tuple[str, str], ...]] = {
     "finer lattice and its check": ((f"{_TRANSPORT}.many_light", "make_field"),),
     "direct return": ((f"{_TRANSPORT}.many_light", "gather_direct"),),
     "hidden image": ((f"{_TRANSPORT}.passes.hidden_pass", "HiddenField.image"),),
-    "time bins": ((f"{_TRANSPORT}.passes.transient_pass", "transient_rows"),),
+    "time bins": (
+        (f"{_TRANSPORT}.passes.transient_pass", "transient_rows"),
+        (f"{_TRANSPORT}.passes.transient_pass", "_row_blocks"),
+    ),
     "phasors of bins": (("itof.measurement", "MeasurementMatrix.apply_streaming"),),
     "ground truth": (("render.rendering", "trace_ground_truth"),),
     "encode and write files": (

@@ -86,13 +86,6 @@ class Renderer:
         self.settings = settings
         self.layout = settings.layout(dataset)
         self.frequencies_hz = dataset.preset.itof.frequencies_hz
-        self._phi = MeasurementMatrix(
-            self.frequencies_hz,
-            self.layout.bin_count,
-            self.layout.bin_width_m,
-            self.layout.start_opl_m,
-            splat=_SPLAT,
-        )
         self.variant = select_variant(settings.device)
         self._libraries = ThreadpoolController()  # which finds numpy's and scipy's linear algebra
         make = METHODS[settings.method]
@@ -214,15 +207,14 @@ class Renderer:
         attributes = {**attributes, **exposure.attributes, "seed": str(view.seed)}
         binned = None
         if self.settings.wants_transients:
-            binned = self._write_rows(exposure, folder / TRANSIENT_FILE, attributes)
+            binned = self._write_rows(exposure, folder / TRANSIENT_FILE, attributes, exact is None)
         if exact is not None:
             parts = {"itof": exact.total, "direct": exact.direct, "hidden": exact.hidden}
         elif binned is not None:
             parts = {"itof": binned}
         else:
-            what = f"scene {scene.id}: the measurement"
-            rows = [self._phi.apply_streaming([block]) for block in _finite(exposure.row_blocks(), what)]
-            parts = {"itof": np.concatenate(rows)}
+            what, rows = f"scene {scene.id}: the measurement", exposure.lit_rows()
+            parts = {"itof": self._phi(rows.bins).apply_streaming(_finite(rows.blocks, what))}
         channels: dict[str, NDArray[np.float32]] = {}
         for prefix, phasor in parts.items():
             channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
@@ -263,22 +255,34 @@ class Renderer:
         return View(self.layout, self.frequencies_hz, max_bounces, seed, self.settings.accept_lost_light)
 
     def _write_rows(
-        self, exposure: Exposure, path: Path, attributes: dict[str, str]
-    ) -> NDArray[np.complex128]:
-        """Render a transient file in blocks of rows; return the (H, W, F) phasors of its bins."""
+        self, exposure: Exposure, path: Path, attributes: dict[str, str], wants_phasors: bool = False
+    ) -> NDArray[np.complex128] | None:
+        """Render a transient file in blocks of rows; return the (H, W, F) phasors of its bins, if wanted."""
         what = f"scene {attributes['scene_id']}: {path.name}"
-        phasors = []
+        phasors, rows = [], exposure.lit_rows()
+        phi = self._phi(rows.bins)
         try:
-            with whole_file(path) as written, TransientWriter(written, self.layout, attributes) as writer:
-                for block in _finite(exposure.row_blocks(), what):
+            with (
+                whole_file(path) as written,
+                TransientWriter(written, self.layout, attributes, rows.bins) as writer,
+            ):
+                for block in _finite(rows.blocks, what):
                     writer.write_rows(block)
-                    phasors.append(self._phi.apply_streaming([block]))
+                    if wants_phasors:
+                        phasors.append(phi.apply_streaming([block]))
         except LostLightError as error:
             raise RenderError(
                 f"{what}: {error}: change start_opl_m and bin_count in [transient] of the preset, or accept "
                 "the loss with --accept lost-light"
             ) from None
-        return np.concatenate(phasors)
+        return np.concatenate(phasors) if wants_phasors else None
+
+    def _phi(self, bins: range) -> MeasurementMatrix:
+        """Φ of some bins of the time axis."""
+        axis = self.layout.cut(bins)
+        return MeasurementMatrix(
+            self.frequencies_hz, axis.bin_count, axis.bin_width_m, axis.start_opl_m, splat=_SPLAT
+        )
 
     def _write(
         self, path: Path, channels: dict[str, NDArray[np.float32]], attributes: dict[str, str]

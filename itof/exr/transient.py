@@ -1,8 +1,10 @@
 """Transient files: bins over time for every pixel, written and read in blocks of image rows.
 
-One FLOAT channel ``transient.Y``. Scanline y has the W pixels of image row y in order, each with its T bins
-in time order. The file has H scanlines of W·T values, and any block of rows can be written or read by itself.
-Attributes ``night.bin_count``, ``night.bin_width_m``, ``night.start_opl_m``. `itof.exr` has the rest.
+One FLOAT channel ``transient.Y``. Scanline y has the W pixels of image row y in order, each with its K stored
+bins in time order. The file has H scanlines of W·K values, and any block of rows can be written or read by
+itself. The K bins begin at ``night.first_bin`` of the T bins of the time axis; all others are zero. Without
+this attribute and ``night.stored_bins``, all T are stored. Attributes ``night.bin_count``,
+``night.bin_width_m``, ``night.start_opl_m``. `itof.exr` has the rest.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -26,6 +28,7 @@ from itof.splat import SPLATS, Splat
 
 TRANSIENT_CHANNEL = "transient.Y"
 _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every transient has
+_STORED = ("first_bin", "stored_bins")
 # In the Python module of OpenEXR, the place of a row in the image, in bytes, is an int. Beyond it, writing
 # crashes the process (OpenEXR 3.5.3); reading does not.
 MOST_WRITTEN_BYTES = 2**31 - 1
@@ -67,6 +70,11 @@ class TransientLayout:
         """Size of all values as float32, before compression."""
         return 4 * self.width * self.height * self.bin_count
 
+    def cut(self, bins: range) -> TransientLayout:
+        """The same with these bins alone."""
+        start_m = self.start_opl_m + bins.start * self.bin_width_m
+        return replace(self, bin_count=len(bins), start_opl_m=start_m)
+
     @property
     def rows_per_block(self) -> int:
         """Number of image rows in a block of at most 64 MiB; at least 1."""
@@ -81,6 +89,7 @@ class TransientWriter:
     path : file to write.
     layout : shape and time axis.
     attributes : provenance, text by name; the file's names have the prefix ``night.``.
+    bins : the bins to store; all others are zero. None: all.
 
     Raises
     ------
@@ -90,7 +99,11 @@ class TransientWriter:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], layout: TransientLayout, attributes: Mapping[str, str]
+        self,
+        path: str | os.PathLike[str],
+        layout: TransientLayout,
+        attributes: Mapping[str, str],
+        bins: range | None = None,
     ) -> None:
         if layout.raw_bytes > MOST_WRITTEN_BYTES:
             raise ValueError(
@@ -99,17 +112,19 @@ class TransientWriter:
             )
         self.layout = layout
         self._row = 0
+        self._bins = bins or range(layout.bin_count)
         axis = {name: repr(getattr(layout, name)) for name in _AXIS}
-        size = (layout.width * layout.bin_count, layout.height)
+        if bins is not None:
+            axis |= dict(zip(_STORED, map(str, (bins.start, len(bins))), strict=True))
+        size = (layout.width * len(self._bins), layout.height)
         self._file = ExrOutput(Path(path), size, [TRANSIENT_CHANNEL], {**attributes, **axis})
 
     def write_rows(self, block: ArrayLike) -> None:
-        """Append image rows: (rows, W, T), stored as float32."""
+        """Append image rows: (rows, W, bins), stored as float32."""
         rows = np.ascontiguousarray(block, dtype=np.float32)
-        if rows.ndim != 3 or rows.shape[1:] != (self.layout.width, self.layout.bin_count):
+        if rows.ndim != 3 or rows.shape[1:] != (self.layout.width, len(self._bins)):
             raise ValueError(
-                f"expected rows of {self.layout.width} pixels x {self.layout.bin_count} bins, "
-                f"got {rows.shape}"
+                f"expected rows of {self.layout.width} pixels x {len(self._bins)} bins, got {rows.shape}"
             )
         if self._row + len(rows) > self.layout.height:
             raise ValueError(f"row {self._row + len(rows)} is past the image's {self.layout.height} rows")
@@ -139,6 +154,7 @@ class TransientReader:
     Attributes
     ----------
     layout : shape and time axis.
+    bins : the stored bins; all others are zero.
     attributes : provenance, text by name.
 
     Raises
@@ -151,12 +167,12 @@ class TransientReader:
         self._file = ExrInput(self.path, advice)
         self.attributes = self._file.texts
         try:
-            self.layout = self._layout(self._file.structure)
+            self.layout, self.bins = self._layout(self._file.structure)
         except ImageFileError:
             self._file.close()
             raise
 
-    def _layout(self, found: ExrStructure) -> TransientLayout:
+    def _layout(self, found: ExrStructure) -> tuple[TransientLayout, range]:
         missing = [name for name in _AXIS if name not in self.attributes]
         if TRANSIENT_CHANNEL not in found.channels or missing:
             raise self._file.refusal(
@@ -165,8 +181,10 @@ class TransientReader:
             )
         try:
             bin_count = int(self.attributes["bin_count"])
+            first = int(self.attributes.get("first_bin", 0))
+            stored = int(self.attributes.get("stored_bins", bin_count))
             layout = TransientLayout(
-                width=found.width // bin_count,
+                width=found.width // stored,
                 height=found.height,
                 bin_count=bin_count,
                 bin_width_m=float(self.attributes["bin_width_m"]),
@@ -174,18 +192,22 @@ class TransientReader:
             )
         except (ValueError, ZeroDivisionError) as error:
             raise self._file.refusal(f"{self.path} has an impossible time axis: {str(error)[:200]}") from None
+        if not 0 <= first < first + stored <= bin_count:
+            raise self._file.refusal(
+                f"{self.path} stores the bins {first} to {first + stored}, and its time axis has {bin_count}"
+            )
         if bin_count > _MOST_BINS:
             raise self._file.refusal(
                 f"{self.path} has {bin_count} time bins, and at most {_MOST_BINS} are read"
             )
-        if found.width % bin_count:
+        if found.width % stored:
             raise self._file.refusal(
-                f"{self.path} has {found.width} values in a row: no whole pixels of {bin_count} bins"
+                f"{self.path} has {found.width} values in a row: no whole pixels of {stored} bins"
             )
-        block_bytes = 4 * found.width * min(found.height, layout.rows_per_block)
+        block_bytes = layout.raw_bytes // found.height * min(found.height, layout.rows_per_block)
         if shortage := memory_shortage(block_bytes + found.unpacking_bytes, copies=_COPIES):
             raise ImageFileError(f"{self.path} {shortage}")
-        return layout
+        return layout, range(first, first + stored)
 
     @property
     def splat(self) -> Splat:
@@ -206,10 +228,18 @@ class TransientReader:
 
     def read_rows(self, start: int, stop: int) -> NDArray[np.float32]:
         """Image rows `start` to `stop` - 1 as (rows, W, T) float32."""
+        stored = self._stored_rows(start, stop)
+        if len(self.bins) == self.layout.bin_count:
+            return stored
+        rows = np.zeros((*stored.shape[:2], self.layout.bin_count), np.float32)
+        rows[..., self.bins.start : self.bins.stop] = stored
+        return rows
+
+    def _stored_rows(self, start: int, stop: int) -> NDArray[np.float32]:
         if not 0 <= start < stop <= self.layout.height:
             raise ValueError(f"rows {start}..{stop} are not within the image's {self.layout.height} rows")
         (rows,) = self._file.rows([TRANSIENT_CHANNEL], start, stop)
-        return rows.reshape(stop - start, self.layout.width, self.layout.bin_count)
+        return rows.reshape(stop - start, self.layout.width, len(self.bins))
 
     def row_blocks(self, rows: int | None = None) -> Iterator[NDArray[np.float32]]:
         """All image rows in order, as blocks (rows, W, T) float32; by default a block has at most 64 MiB."""
@@ -226,18 +256,20 @@ class TransientReader:
         ------
         ImageFileError : the file is damaged, or the phasors do not fit into memory.
         """
-        axis = self.layout
+        axis, stored = self.layout, self.layout.cut(self.bins)
         phasor_bytes = axis.width * axis.height * len(frequencies_hz) * np.dtype(np.complex128).itemsize
         if shortage := memory_shortage(phasor_bytes, copies=_COPIES):
             raise ImageFileError(f"{self.path} {shortage}")
         phi = MeasurementMatrix(
             tuple(frequencies_hz),
-            axis.bin_count,
-            axis.bin_width_m,
-            axis.start_opl_m,
+            stored.bin_count,
+            stored.bin_width_m,
+            stored.start_opl_m,
             splat=self.splat,
         )
-        return phi.apply_streaming(self.row_blocks())
+        step, height = stored.rows_per_block, axis.height
+        ranges = ((start, min(start + step, height)) for start in range(0, height, step))
+        return phi.apply_streaming(self._stored_rows(*each) for each in ranges)
 
     def __enter__(self) -> TransientReader:
         return self

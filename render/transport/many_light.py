@@ -21,7 +21,7 @@ from render.transport.kernels.rough_wall import register_rough_wall
 from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_surface
 from render.transport.lights.light_pass import Lights, light_density, make_lights
 from render.transport.lights.run_statistics import needed_points
-from render.transport.method import PhasorImage, View
+from render.transport.method import LitRows, PhasorImage, View
 from render.transport.passes.direct_pass import FINEST_ERROR, DirectImage, gather_direct
 from render.transport.passes.direct_samples import sample_direct
 from render.transport.passes.gather_pass import gather_runs
@@ -212,9 +212,13 @@ class ManyLightExposure:
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
+        return self.lit_rows().of_all_bins(self.view.layout.bin_count)
+
+    def lit_rows(self) -> LitRows:
+        """The same rows, of the bins that light may reach."""
         from render.transport.passes.transient_pass import transient_rows
 
-        yield from transient_rows(self.scene, self.view, self._grid, self._rule[0], self._direct, self.field)
+        return transient_rows(self.scene, self.view, self._grid, self._rule[0], self._direct, self.field)
 
     @cached_property
     def _hidden(self) -> HiddenImage | None:

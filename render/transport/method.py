@@ -57,6 +57,27 @@ class PhasorImage:
     error: float | None
 
 
+@dataclass(frozen=True)
+class LitRows:
+    """Time-resolved image rows, of the time bins that light may reach.
+
+    Attributes
+    ----------
+    bins : these bins, of all T; at least one.
+    blocks : rows from top to bottom, in blocks (rows, W, bins) of radiance per bin, W m^-2 sr^-1.
+    """
+
+    bins: range
+    blocks: Iterator[NDArray[np.float32]]
+
+    def of_all_bins(self, bin_count: int) -> Iterator[NDArray[np.float32]]:
+        """The same rows with all T bins, (rows, W, T)."""
+        for block in self.blocks:
+            rows = np.zeros((*block.shape[:2], bin_count), np.float32)
+            rows[..., self.bins.start : self.bins.stop] = block
+            yield rows
+
+
 class Exposure(Protocol):
     """A scene ready to be measured."""
 
@@ -67,8 +88,8 @@ class Exposure(Protocol):
     def phasors(self) -> PhasorImage | None:
         """Phasors at the frequencies of the view, without time bins; None if the method has only bins."""
 
-    def row_blocks(self) -> Iterator[NDArray[np.float32]]:
-        """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""
+    def lit_rows(self) -> LitRows:
+        """Image rows with time bins."""
 
 
 class Method(Protocol):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from render.options import PathOptions
 from render.transport.film.lattice import Lattice
-from render.transport.method import View
+from render.transport.method import LitRows, View
 from render.transport.passes.direct_samples import sample_direct
 from render.transport.transient_film import FILM_PLUGIN, register_film
 from scenegen.mitsuba_description import ROUGH_WALL
@@ -78,6 +78,10 @@ class PathExposure:
     def phasors(self) -> None:
         """None, because the films of mitransient have only time bins."""
         return
+
+    def lit_rows(self) -> LitRows:
+        """Image rows of all bins, which noise may fill."""
+        return LitRows(range(self.view.layout.bin_count), self.row_blocks())
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""

@@ -14,7 +14,7 @@ NODES = 96  # of the brute force, in the width of a pixel
 
 
 def spread(place, energy, bin_count):
-    """(P, T) bins of returns (P, N) at places in bins from the start of the axis, with quadratic B-splines."""
+    """(P, T) bins of returns (P, N) at places in bins from the start of the axis, by quadratic B-splines."""
     bins = np.zeros((len(place), bin_count))
     nearest = np.floor(place).astype(int)
     off = place - nearest - 0.5
@@ -67,7 +67,7 @@ def compared(scene, variant, layout):
 
 
 def check(scene, variant, layout, wrong):
-    """At most the share `wrong` of the light is in wrong bins; phasors are right to 0.5 % of a faint object."""
+    """At most the share `wrong` is in wrong bins; phasors are right to 0.5 % of a faint object."""
     found, expected, exact = compared(scene, variant, layout)
     phi = MeasurementMatrix(
         corner.FREQUENCIES_HZ, layout.bin_count, layout.bin_width_m, layout.start_opl_m, splat="quadratic"

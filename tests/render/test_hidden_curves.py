@@ -26,7 +26,9 @@ def hidden_bins(monkeypatch):
                 patch.setattr(transient_pass, "make_curves", lambda *_: None)
             rest = exposure.view, exposure._grid, hidden_rule(LAYOUT.width), exposure._direct
             full, empty = (
-                np.concatenate(list(transient_rows(exposure.scene, *rest, field))).astype(float)
+                np.concatenate(
+                    list(transient_rows(exposure.scene, *rest, field).of_all_bins(LAYOUT.bin_count))
+                ).astype(float)
                 for field in (exposure.field, None)
             )
         return full - empty

@@ -84,7 +84,7 @@ class Lattice:
         return np.einsum("ynf,xn->yxf", rows, across, optimize=True)
 
     def spline_columns(self, table: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(rows, columns, S) coefficients of the splines along x through curves at the nodes, of this shape."""
+        """Coefficients of the splines along x through curves at the nodes, both (rows, columns, S)."""
         coefficients = _unit_splines(self.shape[1]).c.astype(np.float32)
         return np.stack([coefficients @ row for row in table])
 

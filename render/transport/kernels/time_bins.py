@@ -229,8 +229,8 @@ def add_shifted(
 
     A curve is the sum of as many successive curves of `values` as there are `weights`, from the number `tap`
     on. There is one lane for each of `window` bins of each curve; between samples, a curve is linear.
-    `tap`, `weights`, `amplitude`, `shift` and `pixel` belong to the curves; values up to `least` are no light.
-    Returns what arrived and what was lost, by lane.
+    `tap`, `weights`, `amplitude`, `shift` and `pixel` belong to the curves. Values up to `least` are no
+    light. Returns what arrived and what was lost, by lane.
     """
     lane, size = dr.arange(mi.UInt32, dr.width(amplitude) * window), dr.opaque(mi.UInt32, window)
     curve, step = lane // size, lane % size

@@ -6,14 +6,14 @@ then fills a trapezoid of the time axis evenly, around the mean path of its ligh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from itof import TransientLayout
-from render.transport.film.pixels import LANES, Grid, PixelRule, gauss_rule
+from render.transport.film.pixels import Grid, PixelRule, gauss_rule
 from render.transport.passes.direct_pass import DirectImage, bin_order
 from render.transport.passes.direct_samples import DirectSamples, direct_lanes, sample_direct
 
@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from render.transport.kernels.time_bins import TimeAxis
 
 _CELLS, _FEWEST_CELLS = 240, 2  # in the width of the image, and in x and in y in a pixel
-# What cells of a pixel may differ in: the light by this factor, the change of the path from side to side by so
-# many bins. Others have an edge within the surface, or see it at a grazing angle.
+# What cells of a pixel may differ in: the light by this factor, the change of the path from side to side by
+# so many bins. Others have an edge within the surface, or see it at a grazing angle.
 _UNEVEN, _BENT_BINS = 1.5, 1.0
 _NARROWEST_BINS = 1e-3  # a trapezoid is a difference over its two widths, in float64
+_REACH_BINS = 1.5  # of the B-spline
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Cells:
     ----------
     energy : (P, n) radiance times share of the pixel.
     middle : (P, n) mean place of the light, in bins from the start of the time axis.
-    across, down : (P, n) change of the place from side to side of a cell, in bins, at least `_NARROWEST_BINS`.
+    across, down : (P, n) change of the place from side to side of a cell, at least `_NARROWEST_BINS`.
     smooth : (P,) whether cells are exact enough.
     """
 
@@ -84,101 +85,129 @@ def cells_from(energy: NDArray[np.floating], opl_m: NDArray[np.floating], layout
 
 @dataclass(frozen=True)
 class DirectBins:
-    """The direct return of an image, to be put into bins."""
+    """The direct return of an image, to be put into bins.
 
-    scene: mi.Scene
-    grid: Grid
-    image: DirectImage
-    layout: TransientLayout
-    seed: int
+    Attributes
+    ----------
+    width : of the image, pixels.
+    cells : of all pixels.
+    by_cells : row-major indices of the pixels with light whose cells count.
+    samples, energy, pixel : nodes of all other pixels, in the order of these: the direct return there,
+        radiance times share of the pixel, and pixel.
+    """
 
-    @property
-    def rows_at_once(self) -> int:
-        """Rows with as many nodes as one kernel launch should have."""
-        return max(1, LANES // (self.grid.width * cell_rule(self.grid.width).count))
+    width: int
+    cells: Cells
+    by_cells: NDArray[np.int64]
+    samples: DirectSamples
+    energy: NDArray[np.float64]
+    pixel: NDArray[np.int64]
 
-    def add(self, rows: tuple[int, int], axis: TimeAxis, bins: mi.Float) -> tuple[float, float]:
-        """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
+    def ends(self, layout: TransientLayout) -> tuple[float, float]:
+        """First and last place of the light, in bins from the start of the time axis."""
+        cells = self.cells
+        reach = (cells.across + cells.down)[self.by_cells] / 2
+        place = (self.samples.opl_m[self.energy > 0].astype(float) - layout.start_opl_m) / layout.bin_width_m
+        middle = cells.middle[self.by_cells]
+        low, high = (np.concatenate([each.ravel(), place]) for each in (middle - reach, middle + reach))
+        return (
+            float(low.min(initial=np.inf)) - _REACH_BINS,
+            float(high.max(initial=-np.inf)) + _REACH_BINS,
+        )
+
+    def add(
+        self, rows: tuple[int, int], first_bin: int, axis: TimeAxis, bins: mi.Float
+    ) -> tuple[float, float]:
+        """Add some rows to `bins`; energy that arrived, and energy outside the time axis.
+
+        Parameters
+        ----------
+        first_bin : where `axis` begins, in bins from the start of the time axis of the cells.
+        """
+        first, last = rows[0] * self.width, rows[1] * self.width
+        cells = self.by_cells[slice(*np.searchsorted(self.by_cells, [first, last]))]
+        nodes = slice(*np.searchsorted(self.pixel, [first, last]))
+        totals = np.zeros(2)
+        if len(cells):
+            totals += self._add_cells(cells, cells - first, first_bin, axis, bins)
+        if len(self.pixel[nodes]):
+            totals += self._add_nodes(nodes, self.pixel[nodes] - first, axis, bins)
+        return float(totals[0]), float(totals[1])
+
+    def _add_cells(
+        self,
+        chosen: NDArray[np.int64],
+        pixels: NDArray[np.int64],
+        first_bin: int,
+        axis: TimeAxis,
+        bins: mi.Float,
+    ) -> tuple[float, float]:
+        import drjit as dr
+        import mitsuba as mi
+
+        from render.transport.kernels import arrays, time_bins
+
+        cells = self.cells
+        columns = (cells.energy, cells.middle - first_bin, cells.across, cells.down)
+        count = dr.opaque(mi.UInt32, cells.energy.shape[1])
+        begin = dr.arange(mi.UInt32, len(chosen)) * count
+        lost = time_bins.splat_trapezoids(
+            *(mi.Float64(each[chosen].ravel()) for each in columns),
+            begin,
+            begin + count,
+            arrays.upload_indices(pixels) * axis.count,
+            axis,
+            bins,
+        )
+        dr.eval(bins, lost)
+        return float(cells.energy[chosen].sum()), dr.sum(lost)[0]
+
+    def _add_nodes(
+        self, nodes: slice, pixel: NDArray[np.int64], axis: TimeAxis, bins: mi.Float
+    ) -> tuple[float, float]:
         import drjit as dr
 
-        first, last = rows[0] * self.grid.width, rows[1] * self.grid.width
-        rule, edges = cell_rule(self.grid.width), self.image.edges
-        radiance, opl, _, weight, _ = direct_lanes(self.scene, self.grid, rows, rule, self.seed)
-        energy = radiance * weight
-        dr.eval(energy, opl)
-        cells = cells_from(*(np.array(each).reshape(-1, rule.count) for each in (energy, opl)), self.layout)
-        uniform = np.ones(last - first, bool)
-        uniform[edges.pixels[(edges.pixels >= first) & (edges.pixels < last)] - first] = False
-        smooth = np.flatnonzero(uniform & cells.smooth & cells.energy.any(axis=1))
-        arrived, lost = _add_cells(cells, smooth, axis, bins)
-        for samples, weights, pixel in (
-            self._rough(first + np.flatnonzero(uniform & ~cells.smooth)),
-            self._edges(first, last),
-        ):
-            more = _add_samples(samples, weights, pixel - first, axis, bins)
-            arrived, lost = arrived + more[0], lost + more[1]
-        return arrived, lost
+        from render.transport.kernels import arrays, time_bins
 
-    def _rough(
-        self, pixels: NDArray[np.int64]
-    ) -> tuple[DirectSamples, NDArray[np.float64], NDArray[np.int64]]:
-        """The direct return at many nodes of pixels, with shares and pixels."""
-        rule = gauss_rule(bin_order(self.grid.width))
-        points = self.grid.points(pixels, rule.pixel_nodes).reshape(-1, 2)
-        samples = sample_direct(self.scene, points, self.seed)
-        return samples, np.tile(rule.pixel_weights, len(pixels)), np.repeat(pixels, rule.count)
-
-    def _edges(self, first: int, last: int) -> tuple[DirectSamples, NDArray[np.float64], NDArray[np.int64]]:
-        """The same of the pixels with edges from `first` to before `last`, in the order of pixels."""
-        edges = self.image.edges
-        mine = np.flatnonzero((edges.pixel >= first) & (edges.pixel < last))
-        mine = mine[np.argsort(edges.pixel[mine], kind="stable")]
-        return self.image.edge_samples.at(mine), edges.weights[mine], edges.pixel[mine]
+        pixels, begin, count = np.unique(pixel, return_index=True, return_counts=True)
+        found = time_bins.splat_samples(
+            arrays.upload(self.samples.opl_m[nodes]),
+            arrays.upload(self.energy[nodes]),
+            arrays.upload_indices(begin),
+            arrays.upload_indices(begin + count),
+            arrays.upload_indices(pixels) * axis.count,
+            axis,
+            bins,
+        )
+        dr.eval(bins, found)
+        return dr.sum(found[0])[0], dr.sum(found[1])[0]
 
 
-def _add_cells(
-    cells: Cells, pixels: NDArray[np.int64], axis: TimeAxis, bins: mi.Float
-) -> tuple[float, float]:
-    import drjit as dr
-    import mitsuba as mi
-
-    from render.transport.kernels import arrays, time_bins
-
-    if not len(pixels):
-        return 0.0, 0.0
-    columns = (
-        mi.Float64(each[pixels].ravel()) for each in (cells.energy, cells.middle, cells.across, cells.down)
-    )
-    begin = dr.arange(mi.UInt32, len(pixels)) * dr.opaque(mi.UInt32, cells.energy.shape[1])
-    end = begin + dr.opaque(mi.UInt32, cells.energy.shape[1])
-    first = arrays.upload_indices(pixels) * axis.count
-    lost = time_bins.splat_trapezoids(*columns, begin, end, first, axis, bins)
-    dr.eval(bins, lost)
-    return float(cells.energy[pixels].sum()), dr.sum(lost)[0]
+def direct_bins(
+    scene: mi.Scene, grid: Grid, image: DirectImage, layout: TransientLayout, seed: int
+) -> DirectBins:
+    """The light of all cells, and of nodes where cells are not exact enough."""
+    rule, edges = cell_rule(grid.width), image.edges
+    blocks = [_cells_of_rows(scene, grid, rows, rule, layout, seed) for rows in grid.blocks(rule)]
+    cells = Cells(*(np.concatenate([getattr(each, one.name) for each in blocks]) for one in fields(Cells)))
+    uniform = np.ones(len(cells.smooth), bool)
+    uniform[edges.pixels] = False
+    rough, fine = np.flatnonzero(uniform & ~cells.smooth), gauss_rule(bin_order(grid.width))
+    samples = sample_direct(scene, grid.points(rough, fine.pixel_nodes).reshape(-1, 2), seed)
+    pixel = np.concatenate([np.repeat(rough, fine.count), edges.pixel])
+    order = np.argsort(pixel, kind="stable")
+    samples = DirectSamples.joined([samples, image.edge_samples]).at(order)
+    weights = np.concatenate([np.tile(fine.pixel_weights, len(rough)), edges.weights])[order]
+    by_cells = np.flatnonzero(uniform & cells.smooth & cells.energy.any(axis=1))
+    return DirectBins(grid.width, cells, by_cells, samples, samples.radiance * weights, pixel[order])
 
 
-def _add_samples(
-    samples: DirectSamples,
-    weights: NDArray[np.float64],
-    pixel: NDArray[np.int64],
-    axis: TimeAxis,
-    bins: mi.Float,
-) -> tuple[float, float]:
+def _cells_of_rows(
+    scene: mi.Scene, grid: Grid, rows: tuple[int, int], rule: PixelRule, layout: TransientLayout, seed: int
+) -> Cells:
     import drjit as dr
 
-    from render.transport.kernels import arrays, time_bins
-
-    if not len(pixel):
-        return 0.0, 0.0
-    pixels, begin, count = np.unique(pixel, return_index=True, return_counts=True)
-    found = time_bins.splat_samples(
-        arrays.upload(samples.opl_m),
-        arrays.upload(samples.radiance * weights),
-        arrays.upload_indices(begin),
-        arrays.upload_indices(begin + count),
-        arrays.upload_indices(pixels) * axis.count,
-        axis,
-        bins,
-    )
-    dr.eval(bins, found)
-    return dr.sum(found[0])[0], dr.sum(found[1])[0]
+    radiance, opl, _, weight, _ = direct_lanes(scene, grid, rows, rule, seed)
+    energy = radiance * weight
+    dr.eval(energy, opl)
+    return cells_from(*(np.array(each).reshape(-1, rule.count) for each in (energy, opl)), layout)

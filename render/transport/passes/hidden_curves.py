@@ -59,52 +59,62 @@ class HiddenCurves:
         """(pixels,) which pixels can be interpolated."""
         return interpolable(self.lattice, self.valid, grid, rule, surface == self.surface)
 
+    @property
+    def length_m(self) -> float:
+        """Length of the relative time axis, metres."""
+        return self.coefficients.shape[2] * self.width_m
+
     def add(
         self,
         grid: Grid,
         rule: PixelRule,
         rows: tuple[int, int],
-        smooth: NDArray[np.bool_],
+        pixels: NDArray[np.int64],
+        carriers: list[NDArray[np.float64]],
         axis: TimeAxis,
         bins: mi.Float,
     ) -> list[tuple[float, float]]:
-        """Add the `smooth` pixels of some rows to `bins`; energies that arrived and that were lost."""
+        """Add pixels of some rows to `bins`, which begin with these; energies that arrived and were lost.
+
+        Parameters
+        ----------
+        pixels : (P,) row-major indices in the image.
+        carriers : amplitude and path, both (P, n), of the carrier at the nodes of `rule`.
+        """
         import drjit as dr
         import mitsuba as mi
 
-        from render.transport.kernels import arrays, rays, time_bins, wall_light
+        from render.transport.kernels import arrays, time_bins
 
-        pixels = np.flatnonzero(smooth)
         relative = time_bins.TimeAxis(self.coefficients.shape[2], self.width_m, self.start_m)
-        length_m = self.coefficients.shape[2] * self.width_m
-        window = int(length_m * float(axis.per_metre[0])) + 2
-        there = mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in self.centre))
-        least, uploaded = dr.opaque(mi.Float, self.least), arrays.upload_indices(pixels)
+        window = int(self.length_m * float(axis.per_metre[0])) + 2
+        least = dr.opaque(mi.Float, self.least)
+        row, column = pixels // grid.width - rows[0], pixels % grid.width
+        uploaded = arrays.upload_indices(pixels - rows[0] * grid.width)
+        taps = [self.lattice.taps((np.arange(grid.width) + x) / grid.width) for x in rule.nodes]
         totals = []
-        for y, down in zip(rule.nodes, rule.weights, strict=True):
-            values = arrays.upload(self.lattice.down(self.coefficients, (np.arange(*rows) + y) / grid.height))
-            for x, across in zip(rule.nodes, rule.weights, strict=True):
-                tap, weights = self.lattice.taps((np.arange(grid.width) + x) / grid.width)
-                row, column = pixels // grid.width, pixels % grid.width
-                points = grid.points(rows[0] * grid.width + pixels, np.array([[x, y]]))[:, 0]
-                si = rays.camera_hits(self.scene, *(arrays.upload(axis) for axis in points.T))
-                amplitude, path = wall_light.carrier_path(si, there)
-                dr.eval(amplitude, path)
-                found = time_bins.add_shifted(
-                    values,
-                    arrays.upload_indices(row * self.lattice.shape[1] + tap[column]),
-                    [arrays.upload(each[column]) for each in weights.T],
-                    least,
-                    relative,
-                    amplitude * dr.opaque(mi.Float, float(across * down)),
-                    path,
-                    uploaded,
-                    axis,
-                    window,
-                    bins,
-                )
-                dr.eval(bins, found)
-                totals.append((dr.sum(found[0])[0], dr.sum(found[1])[0]))
+        for node, weight in enumerate(rule.pixel_weights):
+            y, x = divmod(node, len(rule.nodes))
+            if x == 0:
+                down = self.lattice.down(self.coefficients, (np.arange(*rows) + rule.nodes[y]) / grid.height)
+                values = arrays.upload(down)
+            tap, weights = taps[x]
+            amplitude, path_m = (each[:, node] for each in carriers)
+            found = time_bins.add_shifted(
+                values,
+                arrays.upload_indices(row * self.lattice.shape[1] + tap[column]),
+                [arrays.upload(each[column]) for each in weights.T],
+                least,
+                relative,
+                arrays.upload(amplitude * weight),
+                arrays.upload(path_m),
+                uploaded,
+                axis,
+                window,
+                bins,
+            )
+            dr.eval(bins, found)
+            totals.append((dr.sum(found[0])[0], dr.sum(found[1])[0]))
         return totals
 
 

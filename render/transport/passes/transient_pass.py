@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import NightError
+from itof import TransientLayout
 from render.transport.film.lattice import Lattice
 from render.transport.film.pixels import Grid, PixelRule
 from render.transport.lights.hidden_surface import sobol_points
-from render.transport.method import View
-from render.transport.passes.direct_bins import DirectBins
+from render.transport.method import LitRows, View
+from render.transport.passes.direct_bins import DirectBins, direct_bins
 from render.transport.passes.direct_pass import DirectImage
 from render.transport.passes.direct_samples import sample_direct
 from render.transport.passes.edge_points import ChosenPoints, choose_points
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 _MOST_PACKETS = 64  # for the arrivals of each light,
 _ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each
 _MOST_LOST = 1e-4  # of the hidden energy
+_MARGIN_BINS = 2.5  # around the light that a B-spline spreads, or a curve between its samples
 
 log = logging.getLogger(__name__)
 
@@ -50,48 +52,60 @@ def transient_rows(
     rule: PixelRule,
     direct: DirectImage,
     field: HiddenField | None,
-) -> Iterator[NDArray[np.float32]]:
-    """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1.
+) -> LitRows:
+    """Image rows with the time bins that light may reach.
+
+    Their blocks raise `LostLightError` at the end if more than 1e-4 of the hidden light, or of all light
+    where there is no hidden light, arrives outside the time axis.
 
     Parameters
     ----------
     rule : nodes for the hidden signal in a pixel that sees one surface.
     direct : direct return of the image; it has the cells of pixels with edges.
     field : hidden signal over the film; None without a hidden object.
-
-    Raises
-    ------
-    LostLightError : more than 1e-4 of the hidden light, or of all light where there is no hidden light,
-        arrives outside the time axis.
     """
+    if field is not None and not len(field.lights):
+        field = None  # a black object
+    layout = view.layout
+    parts: list[DirectBins | _HiddenPart] = [direct_bins(scene, grid, direct, layout, view.seed)]
+    if field is not None:
+        parts.append(_HiddenPart(scene, view, grid, rule, direct, field))
+    ends = np.array([part.ends(layout) for part in parts])
+    low, high = np.clip([np.floor(ends[:, 0].min()), np.ceil(ends[:, 1].max())], 0, layout.bin_count)
+    bins = range(int(low), int(high)) if low < high else range(1)
+    return LitRows(bins, _row_blocks(scene, view, grid, parts, bins, field))
+
+
+def _row_blocks(
+    scene: mi.Scene,
+    view: View,
+    grid: Grid,
+    parts: list[DirectBins | _HiddenPart],
+    bins: range,
+    field: HiddenField | None,
+) -> Iterator[NDArray[np.float32]]:
     import drjit as dr
     import mitsuba as mi
 
     from render.transport.kernels.time_bins import TimeAxis
 
-    if field is not None and not len(field.lights):
-        field = None  # a black object
-    layout = view.layout
+    layout = view.layout.cut(bins)
     axis = TimeAxis(layout.bin_count, layout.bin_width_m, layout.start_opl_m)
-    direct_part = DirectBins(scene, grid, direct, layout, view.seed)
-    hidden_part = None if field is None else _HiddenPart(scene, view, grid, rule, direct, field)
     lost = arrived = 0.0
-    step = min(layout.rows_per_block, direct_part.rows_at_once)
-    for start in range(0, grid.height, step):
-        rows = (start, min(start + step, grid.height))
-        bins = dr.zeros(mi.Float, (rows[1] - rows[0]) * grid.width * layout.bin_count)
-        parts = [direct_part.add(rows, axis, bins)]
-        if hidden_part is not None:
-            parts.append(hidden_part.add(rows, axis, bins))
-        lost += sum(part[1] for part in parts)
-        arrived += parts[-1][0]
-        yield np.array(bins).reshape(rows[1] - rows[0], grid.width, layout.bin_count)
+    for start in range(0, grid.height, layout.rows_per_block):
+        rows = (start, min(start + layout.rows_per_block, grid.height))
+        block = dr.zeros(mi.Float, (rows[1] - rows[0]) * grid.width * layout.bin_count)
+        found = [part.add(rows, bins.start, axis, block) for part in parts]
+        lost += sum(part[1] for part in found)
+        arrived += found[-1][0]
+        yield np.array(block).reshape(rows[1] - rows[0], grid.width, layout.bin_count)
     if lost > _MOST_LOST * arrived:
-        end_m = layout.start_opl_m + layout.bin_count * layout.bin_width_m
+        whole = view.layout
+        end_m = whole.start_opl_m + whole.bin_count * whole.bin_width_m
         what = "all light" if field is None else "the hidden light"
         share = lost / arrived if arrived > 0 else np.inf
         message = (
-            f"light arrives outside the time axis of {layout.start_opl_m:g} to {end_m:g} m (optical "
+            f"light arrives outside the time axis of {whole.start_opl_m:g} to {end_m:g} m (optical "
             f"path length): {share:.2g} times {what}. Arrivals are between "
             f"{' and '.join(f'{end:.2f} m' for end in _arrivals_m(scene, view, field))}"
         )
@@ -135,20 +149,44 @@ class _HiddenPart:
         self.packets = (energy / lights.runs, opl_m)  # the signal is the mean over the runs
         self.curves = make_curves(scene, view, grid, rule, field, self.packets)
         surface = direct.surface.ravel()
-        self.smooth = np.zeros(len(surface), bool)
+        smooth = np.zeros(len(surface), bool)
         if self.curves is not None:
-            self.smooth = self.curves.covers(grid, rule, surface)
-        self.exact = (surface > 0) & ~self.smooth
+            smooth = self.curves.covers(grid, rule, surface)
+        self.smooth, self.exact = np.flatnonzero(smooth), np.flatnonzero((surface > 0) & ~smooth)
+        points = grid.points(self.smooth, rule.pixel_nodes).reshape(-1, 2)
+        self.carriers = [each.reshape(-1, rule.count) for each in carrier_paths(scene, points, lights.centre)]
         self.chosen = choose_points(direct)
         self.chosen_weights, self.chosen_later_m = _rescaled(field, self.chosen)
 
-    def add(self, rows: tuple[int, int], axis: TimeAxis, bins: mi.Float) -> tuple[float, float]:
+    def ends(self, layout: TransientLayout) -> tuple[float, float]:
+        """Bounds of the places of the light, in bins from the start of the time axis."""
+        found = []
+        if self.curves is not None and len(self.smooth):
+            start_m, length_m = self.curves.start_m, self.curves.length_m
+            found += [self.carriers[1].min() + start_m, self.carriers[1].max() + start_m + length_m]
+        exact = self.grid.points(self.exact, self.rule.pixel_nodes).reshape(-1, 2)
+        lights, (energy, opl_m) = self.field.lights, self.packets
+        lit, reach_m = opl_m[energy > 0], lights.reach_m
+        for points, later_m in ((exact, np.zeros(len(exact))), (self.chosen.points, self.chosen_later_m)):
+            if len(points) and len(lit):
+                path_m = carrier_paths(self.scene, points, lights.centre)[1] + later_m
+                found += [path_m.min() + lit.min() - reach_m, path_m.max() + lit.max() + reach_m]
+        place = (np.array(found) - layout.start_opl_m) / layout.bin_width_m
+        return float(place.min(initial=np.inf)) - _MARGIN_BINS, float(
+            place.max(initial=-np.inf)
+        ) + _MARGIN_BINS
+
+    def add(
+        self, rows: tuple[int, int], first_bin: int, axis: TimeAxis, bins: mi.Float
+    ) -> tuple[float, float]:
         """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
         first, last = rows[0] * self.grid.width, rows[1] * self.grid.width
         totals = []
-        if self.curves is not None and self.smooth[first:last].any():
-            totals += self.curves.add(self.grid, self.rule, rows, self.smooth[first:last], axis, bins)
-        exact = first + np.flatnonzero(self.exact[first:last])
+        mine = slice(*np.searchsorted(self.smooth, [first, last]))
+        if self.curves is not None and len(self.smooth[mine]):
+            carriers = [each[mine] for each in self.carriers]
+            totals += self.curves.add(self.grid, self.rule, rows, self.smooth[mine], carriers, axis, bins)
+        exact = self.exact[slice(*np.searchsorted(self.exact, [first, last]))]
         for node, share in zip(self.rule.pixel_nodes, self.rule.pixel_weights, strict=True):
             points = self.grid.points(exact, node[None])[:, 0]
             weights, later_m = np.full(len(exact), share), np.zeros(len(exact))
