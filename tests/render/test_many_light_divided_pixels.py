@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from batch_quadrature import free_nodes
 from many_light_scenes import CAMERA_LOCATION_M, FREQUENCIES_HZ, GAP_M, ball, expose, relative, rough_plastic
-from odd_corners import OddCorner, loaded_corner, random_corner
+from odd_corners import OddCorner, behind_a_gap, corner_of, loaded_corner, random_corner
 from small_patch import AXES
 
 from itof import MeasurementMatrix, TransientLayout, pixel_rays
@@ -148,16 +148,34 @@ def test_coarser_edges_cost_a_small_part_of_the_wanted_error(variant, tmp_path, 
     assert np.all(off < error / 10 * np.linalg.norm(exact.hidden, axis=(0, 1)))
 
 
+# A middle wall that ends in view and a rolled camera, and walls that end in view in random corners.
+LOW_WALL = {"size_m": [2.2, 2.5], "location_m": [1.75, 0.0, 1.25], "rotation_deg": [82.0, 6.0, -10.0]}
+WITH_EDGES = {
+    "low wall": lambda *size: corner_of(
+        *size,
+        camera={"horizontal_fov_deg": 62.5, "rotation_deg": [90.0, 110.0, 35.0]},
+        middle_wall=LOW_WALL,
+    ),
+    **{
+        f"seed {seed}": lambda width, height, seed=seed: random_corner(seed, width=width, height=height)
+        for seed in (2, 1, 5, 9)
+    },
+}
+
+
 def summed(values, weights, pixel, count):
     return group_sums(values * weights[:, None], pixel, count)
 
 
-@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 5, 9))])
-def test_pixels_with_an_edge_have_the_light_of_their_visible_polygons(variant, maker, seed):
+@pytest.mark.parametrize(
+    "name",
+    [*list(WITH_EDGES)[:2], *(pytest.param(name, marks=pytest.mark.long) for name in list(WITH_EDGES)[2:])],
+)
+def test_pixels_with_an_edge_have_the_light_of_their_visible_polygons(variant, maker, name):
     from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
     size = (LAYOUT.width, LAYOUT.height)
-    corner = random_corner(seed, width=size[0], height=size[1])
+    corner = WITH_EDGES[name](*size)
     exposure = expose(loaded_corner(maker, corner, variant), variant, lights=64, layout=LAYOUT)
     image, direct = exposure.phasors(), exposure._direct
     *_, pixel, edges = free_nodes(corner, *size, 1, 1)
@@ -179,13 +197,24 @@ def test_pixels_with_an_edge_have_the_light_of_their_visible_polygons(variant, m
     assert exposure.error >= np.hypot(exposure.field.error, stated.max())
 
 
-def test_grazing_pixels_have_nodes_for_their_phase(variant, maker):
+def rolled(width, height):
+    view = {"horizontal_fov_deg": 100.0, "rotation_deg": [90.0, 80.0, 50.0]}
+    return random_corner(22, width=width, height=height, **view)
+
+
+@pytest.mark.parametrize(
+    ("make", "hertz"),
+    [
+        pytest.param(rolled, (300e6,), id="rolled"),
+        pytest.param(lambda *size: behind_a_gap(*size, 0.1), (60e6,), id="gap"),
+    ],
+)
+def test_grazing_pixels_have_nodes_for_their_phase(variant, maker, make, hertz):
     from render.transport.passes.direct_pass import gather_direct
     from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
-    hertz, size = (300e6,), (40, 30)
-    view = {"horizontal_fov_deg": 100.0, "rotation_deg": [90.0, 80.0, 50.0]}
-    corner = random_corner(22, width=size[0], height=size[1], **view)
+    size = (40, 30)
+    corner = make(*size)
     scene = loaded_corner(maker, corner, variant)
     found = gather_direct(scene, Grid(*size), hertz, 1, edge_divisions=7)
     points, weights, pixel, edges = free_nodes(corner, *size, 24, 12)
@@ -196,6 +225,26 @@ def test_grazing_pixels_have_nodes_for_their_phase(variant, maker):
     own = np.abs(flat - expected)[whole] / np.abs(expected)[whole]
     # The largest paths, 40 m, are known to 2^-19 m, of 2 pi / m; the hidden light is 1e-3 of such a pixel.
     assert own.max() < 1e-4
+
+
+def test_light_of_pixels_behind_a_narrow_gap_alone_has_a_known_error(variant, maker):
+    size = (LAYOUT.width, LAYOUT.height)
+    scene = loaded_corner(maker, behind_a_gap(*size, 0.03), variant)
+    exposures = [expose(scene, variant, lights=512, seed=seed, layout=LAYOUT) for seed in (1, 2)]
+    assert len(exposures[0].field.lights) > 300
+    # The nodes of the coarsest lattice are dark. What other lights change is the error of both.
+    one, other = (exposure.phasors().hidden for exposure in exposures)
+    both = np.hypot(*(exposure.field.error for exposure in exposures))
+    assert 0.1 * both < relative(one, other).max() < both
+
+
+def test_light_that_too_few_points_see_to_know_its_error_is_refused(variant, maker):
+    from disk import NightError
+
+    size = (LAYOUT.width, LAYOUT.height)
+    scene = loaded_corner(maker, behind_a_gap(*size, 0.001), variant)
+    with pytest.raises(NightError, match="it reaches 0 of 20769 points of the image"):
+        expose(scene, variant, lights=512, layout=LAYOUT)
 
 
 @pytest.mark.parametrize("phase", [0.1, 1.0, 5.0, 20.0])

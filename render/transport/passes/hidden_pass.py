@@ -152,15 +152,14 @@ class HiddenImage:
 
 @dataclass(frozen=True)
 class RunValues:
-    """The hidden signal at P points of the film, by each of R runs of lights.
+    """The hidden signal at the P nodes of a lattice, by each of R runs of lights.
 
     Attributes
     ----------
-    points : (P, 2) film positions.
     values : (R, P, F) phasors.
     """
 
-    points: NDArray[np.float64]
+    lattice: Lattice
     values: NDArray[np.complex128]
 
     @property
@@ -180,7 +179,6 @@ def make_field(
     frequencies_hz: tuple[float, ...],
     runs: RunValues,
     *,
-    aspect: float,
     most_nodes: int,
     wanted: float | None,
 ) -> HiddenField:
@@ -192,14 +190,13 @@ def make_field(
 
     Parameters
     ----------
-    runs : the hidden signal at the nodes of `first_lattice`, by the same lights.
-    aspect : width of the film over its height.
+    runs : the hidden signal at the nodes of the coarsest lattice, by the same lights.
     most_nodes : number of points that an exact image takes.
     wanted : error relative to the hidden signal; None takes the random error of the lights.
     """
     random, nothing = runs.error, np.zeros(0, complex)
     everywhere = HiddenField(scene, lights, frequencies_hz, None, nothing, nothing.astype(bool), 0, random)
-    lattice = first_lattice(aspect)
+    lattice = runs.lattice
     if not len(lights) or len(lattice.nodes) >= most_nodes:
         return everywhere
     allowed = _SHARE * (random if wanted is None else wanted)
