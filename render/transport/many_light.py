@@ -235,7 +235,9 @@ class ManyLightExposure:
 
     @cached_property
     def _hidden(self) -> HiddenImage | None:
-        return None if self.field is None else self.field.image(self._grid, self._rule[0], self._direct)
+        if self.field is None:
+            return None
+        return self.field.image(self._grid, self._rule[0], self._direct, _FOR_NODES * self.wanted)
 
     @cached_property
     def _rule(self) -> tuple[PixelRule, float]:
