@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from render.transport.film.pixels import Grid, group_sums
 from render.transport.lights.hidden_surface import read_hidden_surface
@@ -24,7 +25,8 @@ from scenegen import Scene
 
 TIMES = 16  # as many lights as the image that is judged has
 _RUNS = 8
-_DIRECT, _HIDDEN = 16, (3, 3)  # nodes along each side of whole pixels, and of the parts of the others
+_DIRECT = 16  # nodes along each side of whole pixels, and of the parts of the others
+_HIDDEN, _NEAR, _PIXELS_NEAR = 3, 8, 2  # the same; beside the edge of a wall its shadow needs more
 _OTHER_SEEDS = 2**20  # added to the seed of the view; the benchmarks use smaller seeds
 
 
@@ -90,21 +92,26 @@ def corner_reference(corner: Scene, scene: Any, view: View, lights: int, most_pi
     Parameters
     ----------
     corner : the data of `scene`.
-    most_pixels : of pixels without an edge, drawn at random; all pixels with an edge are compared.
+    most_pixels : drawn at random; all pixels with an edge and beside one are compared as well.
     """
     from batch_quadrature import free_nodes
 
     size = (view.layout.width, view.layout.height)
     *_, pixel, edges = free_nodes(corner, *size, 1, 1)
-    whole = np.setdiff1d(pixel, edges)
+    is_near = np.zeros(size[::-1], bool)
+    is_near.flat[edges] = True
+    near = np.intersect1d(np.flatnonzero(maximum_filter(is_near, 2 * _PIXELS_NEAR + 1)), pixel)
+    whole = np.setdiff1d(pixel, near)
     some = np.sort(np.random.default_rng(0).permutation(whole)[:most_pixels])
-    pixels = np.concatenate([edges, some])
-    counts = np.concatenate([np.ones(len(edges)), np.full(len(some), len(whole) / max(len(some), 1))])
+    pixels = np.concatenate([near, some])
+    counts = np.concatenate([np.ones(len(near)), np.full(len(some), len(whole) / max(len(some), 1))])
     points, weights, pixel, _ = free_nodes(corner, *size, _DIRECT, _DIRECT, pixels)
     z = direct_phasors_of(sample_direct(scene, points, view.seed), view.frequencies_hz) * weights[:, None]
     direct = group_sums(z, pixel, size[0] * size[1])[pixels]
     made = _lights(scene, replace(view, seed=view.seed + _OTHER_SEEDS), TIMES * lights)
-    points, weights, pixel, _ = free_nodes(corner, *size, *_HIDDEN, pixels)
+    rules = ((near, _NEAR), (some, _HIDDEN))
+    nodes = [free_nodes(corner, *size, n, n, some)[:3] for some, n in rules if len(some)]
+    points, weights, pixel = (np.concatenate(each) for each in zip(*nodes, strict=True))
     by_run = gather_runs(scene, points, view.frequencies_hz, made) * weights[:, None]
     by_run = np.stack([group_sums(one, pixel, size[0] * size[1])[pixels] for one in by_run])
     hidden, error = by_run.mean(axis=0), float(relative_bound(by_run).max())

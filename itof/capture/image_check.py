@@ -24,6 +24,7 @@ from itof.wall.wall_fit import WALL_SHARE, RobustFit, without_unit
 
 NEAREST_M, FARTHEST_M = WALLS_M
 NOT_FLAT_RAD: Final = 0.01  # smooth phases over a plane, root mean square; hidden light is 1 to 3 mrad
+NO_WALL_RAD: Final = 0.05  # the same without four-cycle errors; cameras that have nothing else leave 6 mrad
 NOISY_RAD: Final = 1e-3  # of a pixel: as much as weak hidden light
 GOOD_NOISE_RAD: Final = 3e-4  # with 3.7e-4, an MAE of 1.3 cm rises to 3.5 (notebook/cameras.md)
 SHARED: Final = 2.0  # noise of neighbours over that of the frames; dark frames of the same number give 1.4
@@ -138,6 +139,8 @@ def _shape(fit: RobustFit, noise_rad: Floats) -> Iterator[Finding]:
     smooth = _smooth_rms(fit, fit.residual_rad, noise_rad)  # (F,)
     if smooth.max() < NOT_FLAT_RAD:
         return
+    rest = fit.rest_rad
+    useless = bool(_smooth_rms(fit, rest, _local_rms(fit, rest)).max() >= NO_WALL_RAD)
     slope = fit.wall.slope
     bump_m = fit.residual_rad @ slope / (slope @ slope)  # (H, W) least squares
     left = fit.residual_rad - bump_m[..., None] * slope
@@ -145,13 +148,17 @@ def _shape(fit: RobustFit, noise_rad: Floats) -> Iterator[Finding]:
     phases = f"{milliradians(tuple(smooth.tolist()))} at {megahertz(*fit.wall.frequencies_hz)}"
     if len(smooth) > 1 and unexplained.max() > _EXPLAINED * smooth.max():
         words = f"the phases leave those of a flat wall by {phases}, and no shape of the wall explains it: "
-        words += "a camera whose waves are not sinusoidal (wiggling), or light scattered in the lens?"
-        yield Finding("phase-errors", words, False)
+        if useless:
+            words += "other pixels, steps or frequencies than declared, or something else in view?"
+        else:
+            words += "a camera whose waves are not sinusoidal (wiggling), or light scattered in the lens? "
+            words += "Capture the empty corner, too (--empty), or take more phase steps"
+        yield Finding("phase-errors", words, useless)
         return
     bump = length(float(np.sqrt((fit.weight * bump_m**2).sum() / fit.weight.sum())))
     words = f"the wall is not flat: it leaves its plane by {bump} (root mean square; {phases}); or something "
     words += "else is in view, or horizontal_fov_deg or lens are wrong"
-    yield Finding("not-flat", words, False)
+    yield Finding("not-flat", words, useless)
 
 
 def _scatter(noise_rad: Floats) -> Iterator[Finding]:

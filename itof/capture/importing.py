@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +20,9 @@ from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_files import measurement_of
 from itof.files.measurement_process import FileContents
 from itof.files.measurement_writing import ENDINGS, write_measurement
-from itof.wall.image_defects import image_defects
+from itof.pinhole import pixel_rays
+from itof.wall.finding import Finding
+from itof.wall.image_defects import depth_defects, image_defects
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def import_capture(
     if empty_files:
         reference = read_capture(empty_files, meaning, folder, shape, progress=progress)
     for name, each in (("", capture), ("the empty corner: ", reference)):
-        for finding in () if each is None else image_defects(each.phasor, each.frequencies_hz):
+        for finding in () if each is None else _defects(each):
             raise CaptureError(f"{name}{finding.sentence}")
     lit = (capture.phasor != 0).all(axis=-1)
     images = {"phasors": capture.phasor}
@@ -127,6 +129,14 @@ def _put_record(record: Path, out: Path) -> None:
     """Put the record in place, which knows the field of view of the measurement `out`, before that."""
     out.unlink(missing_ok=True)  # an earlier import, which would not fit the new record
     record.replace(record_path(out))
+
+
+def _defects(capture: Capture) -> Iterator[Finding]:
+    """What makes the light useless, whether it shows a wall or, as that of a mirror, none."""
+    yield from image_defects(capture.phasor, capture.frequencies_hz)
+    height, width, _ = capture.phasor.shape
+    rays = pixel_rays(width, height, capture.facts.horizontal_fov_deg)
+    yield from depth_defects(capture.phasor, capture.frequencies_hz, rays)
 
 
 def paths(given: PathLike | Sequence[PathLike]) -> list[Path]:

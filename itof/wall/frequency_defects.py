@@ -27,7 +27,8 @@ _APART = 0.02  # of the logarithm of a ratio: less is the error of a camera's wa
 def other_frequency(phasor: Phasors, fit: RobustFit) -> str:
     """Which frequency of phasors (H, W, F) was declared wrongly; empty if none, or if that is not clear.
 
-    Straight lines must explain the phases much better than the fit of the wall does.
+    Straight lines must explain the phases much better than the fit of the wall does, and better than the fit
+    with the waves of a camera: of a frontal wall, whose phases change little, these look like another slope.
     """
     frequencies_hz = fit.wall.frequencies_hz
     count = len(frequencies_hz)
@@ -45,7 +46,8 @@ def other_frequency(phasor: Phasors, fit: RobustFit) -> str:
     whole = fit.wall.slope[first] * depth_m + fit.residual_rad.reshape(-1, count)[used, first]
     lines = [_scales(pixels, angle - weight @ angle, weight, frequencies_hz) for angle in (around, whole)]
     scale, left = min(lines, key=lambda each: each[1])
-    if left > min(_LINE, CLEAR * fit.mismatch):
+    of_waves = float((1 - np.tensordot(fit.weight, np.cos(fit.rest_rad), axes=2)).max())
+    if left > min(_LINE, CLEAR * fit.mismatch, of_waves):
         return ""
     spread = [float(np.ptp(np.log(np.delete(scale, place)))) for place in range(count)]
     wrong = [int(np.argmin(spread))] if count > 2 else [0, 1]

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz
+from itof.light import megahertz, phase_per_metre
 from itof.unwrapping import unwrap_depth
 from itof.wall.finding import Finding
 from itof.wall.line_defects import lines_in_disorder, seam
@@ -67,23 +67,32 @@ def fit_defects(phasor: Phasors, fit: RobustFit) -> Iterator[Finding]:
     """The same of what a fit of the wall leaves of phasors (H, W, F)."""
     if words := seam(fit):
         yield Finding("convention", words, True)
-    if len(fit.wall.frequencies_hz) > 1 and _one_depth(phasor, fit):
-        words = "no hidden light can be in it: the phases at all frequencies are those of one depth image"
-        yield Finding("no-hidden-light", words, True)
+    yield from depth_defects(phasor, fit.wall.frequencies_hz, fit.wall.rays)
 
 
-def _one_depth(phasor: Phasors, fit: RobustFit) -> bool:
-    """Whether one depth explains the phases (H, W, F) at all frequencies, and is not that of a plane."""
-    # the nearer half: far pixels may be beyond the unambiguous range
-    used, slope = fit.weight >= np.median(fit.weight[fit.weight > 0]), fit.wall.slope
-    angle, rays = np.angle(phasor[used]), fit.wall.rays[used]
-    depth_m = np.maximum(unwrap_depth(angle, fit.wall.frequencies_hz), _NEAREST_M)
+def depth_defects(phasor: Phasors, frequencies_hz: tuple[float, ...], rays: Floats) -> Iterator[Finding]:
+    """The same of phasors (H, W, F) all of whose phases are those of one depth, which is not a plane's.
+
+    `rays` (H, W, 3) are those of the pixels.
+    """
+    if len(frequencies_hz) == 1:
+        return
+    # the brighter half: far pixels may be beyond the unambiguous range
+    strength = np.abs(phasor).min(axis=-1)
+    if not strength.any():
+        return
+    used = strength >= np.median(strength[strength > 0])
+    slope = 2 * phase_per_metre(frequencies_hz)
+    angle, rays = np.angle(phasor[used]), rays[used]
+    depth_m = np.maximum(unwrap_depth(angle, frequencies_hz), _NEAREST_M)
     left = np.angle(np.exp(1j * (angle - slope * depth_m[:, None])))
     if np.quantile(np.abs(left).max(axis=-1), _MOST) > _SAME_RAD:
-        return False
+        return
     plane = np.linalg.lstsq(rays, 1 / depth_m, rcond=None)[0]
     bump_m = (rays @ plane - 1 / depth_m) * depth_m**2
-    return bool(np.abs(bump_m).max() * slope.max() > _FLAT_RAD)
+    if np.abs(bump_m).max() * slope.max() > _FLAT_RAD:
+        words = "no hidden light can be in it: the phases at all frequencies are those of one depth image"
+        yield Finding("no-hidden-light", words, True)
 
 
 def phase_noise_rad(phasor: Phasors) -> Floats:

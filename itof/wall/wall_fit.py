@@ -30,6 +30,7 @@ from itof.wall.wall_phases import WallPhases, WallRays, four_cycles
 
 FITS_RAD: Final = 0.5  # three times the largest residual of a valid measurement, at the edge of its wall
 _LARGEST_OFFSET = 3.0  # root mean square, in standard deviations, of a camera that is what it was taken for
+_LARGEST_WAVES_RAD = 0.15  # twice those of square waves
 WALL_SHARE: Final = 0.9  # of the light whose phase is the wall's; 0.16 for phases at random, 1 for a wall
 MOST_PIXELS: Final = 2**14  # that decide a robust fit, evenly spread: more cost time and tell nothing new
 _DARK = 1e-12  # amplitude over the largest one of the image
@@ -190,6 +191,20 @@ class RobustFit(WallFit):
         weight = self.weight * self.fits
         mean: Floats = np.tensordot(weight, self.residual_rad**2, axes=2) / max(weight.sum(), 1e-300)
         return np.sqrt(mean)
+
+    @property
+    def rest_rad(self) -> Floats:
+        """(H, W, F) residual without the four-cycle errors that explain most of it, as a camera has them."""
+        weight, rest = self.weight * self.fits, self.residual_rad.copy()
+        used, slope = weight > 0, self.wall.slope
+        depth_m, root = (self.wall.radial_depth_m + self.shift_m)[used], np.sqrt(weight[used])
+        waves = four_cycles_of(depth_m, slope[:, None])  # (F, 2, n)
+        for place, wave in enumerate(waves):
+            rows = np.stack([np.ones_like(depth_m), *wave])
+            found = np.linalg.lstsq((rows * root).T, rest[used, place] * root, rcond=None)[0]
+            if np.hypot(*found[1:]) < _LARGEST_WAVES_RAD:
+                rest[used, place] -= found @ rows
+        return rest
 
     @property
     def wall_share(self) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.options import COARSEST_EDGES, ManyLightOptions
+from render.transport.film.lattice import Lattice
 from render.transport.film.pixels import Grid, PixelRule, gauss_rule
 from render.transport.kernels.rough_wall import register_rough_wall
 from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_surface
@@ -45,6 +46,10 @@ _REFINED = 1.5  # lights that lack this factor of points get new runs with twice
 _MARGIN = 0.85  # of the wanted error: what the lights are planned for; the rest is for chance
 _FOR_LIGHTS = 0.96  # of the wanted error; a quarter of it for the interpolation makes it whole
 _FOR_NODES = 0.1  # of the wanted error, for the nodes of a pixel
+_FEWEST_LIT, _FINEST_COLUMNS = (
+    8,
+    160,
+)  # nodes with hidden light for its error; columns of the last lattice tried
 _WIDE_PIXEL = 4e-3  # of the image width; the hidden part of wider pixels takes 2 x 2 nodes instead of one
 
 log = logging.getLogger(__name__)
@@ -94,7 +99,6 @@ class ManyLight:
             lights,
             view.frequencies_hz,
             found,
-            aspect=layout.width / layout.height,
             most_nodes=layout.width * layout.height * hidden_rule(layout.width).count,
             wanted=wanted,
         )
@@ -154,17 +158,30 @@ class LightWorkshop:
         bounces = self.view.max_bounces
         return make_lights(self.scene, self.surface, self.density, count, wall_points, seeds, bounces)
 
-    def evaluated(self, count: int, runs: int, stream: int, first_run: int = 0) -> tuple[Lights, RunValues]:
-        """Lights, and the hidden signal by each run at the nodes of the coarsest lattice."""
+    def evaluated(
+        self, count: int, runs: int, stream: int, first_run: int = 0, lattice: Lattice | None = None
+    ) -> tuple[Lights, RunValues]:
+        """Lights, and the hidden signal by each run at the nodes of a lattice.
+
+        Without a given one, it is the coarsest with several nodes that hidden light reaches: these know its
+        error. Behind a narrow gap, the coarsest of all has none.
+        """
         lights = self.lights(count, runs, stream, first_run)
-        nodes = first_lattice(self.view.layout.width / self.view.layout.height).nodes
-        return lights, RunValues(nodes, gather_runs(self.scene, nodes, self.view.frequencies_hz, lights))
+        tried = lattice or first_lattice(self.view.layout.width / self.view.layout.height)
+        while True:
+            values = gather_runs(self.scene, tried.nodes, self.view.frequencies_hz, lights)
+            lit = np.count_nonzero(values.any(axis=(0, 2)))
+            if lattice or not len(lights) or lit >= _FEWEST_LIT:
+                return lights, RunValues(tried, values)
+            if tried.columns >= _FINEST_COLUMNS:
+                raise ValueError(f"it reaches {lit} of {len(tried.nodes)} points of the image")
+            tried = tried.halved()
 
     def with_more_runs(
         self, lights: Lights, found: RunValues, count: int, runs: int, stream: int
     ) -> tuple[Lights, RunValues]:
         """The lights of the image with further runs."""
-        more, values = self.evaluated(count, runs, stream, lights.runs)
+        more, values = self.evaluated(count, runs, stream, lights.runs, found.lattice)
         return lights.joined(more), replace(found, values=np.concatenate([found.values, values.values]))
 
 
@@ -222,7 +239,9 @@ class ManyLightExposure:
 
     @cached_property
     def _hidden(self) -> HiddenImage | None:
-        return None if self.field is None else self.field.image(self._grid, self._rule[0], self._direct)
+        if self.field is None:
+            return None
+        return self.field.image(self._grid, self._rule[0], self._direct, _FOR_NODES * self.wanted)
 
     @cached_property
     def _rule(self) -> tuple[PixelRule, float]:
@@ -248,8 +267,8 @@ class ManyLightExposure:
 
 
 def _strength(scene: mi.Scene, found: RunValues) -> float:
-    """Norm of the hidden signal over that of the direct return, at the nodes of the first lattice."""
-    direct = np.linalg.norm(sample_direct(scene, found.points, 0).radiance.astype(float))
+    """Norm of the hidden signal over that of the direct return, at the nodes of the trials."""
+    direct = np.linalg.norm(sample_direct(scene, found.lattice.nodes, 0).radiance.astype(float))
     hidden = np.linalg.norm(found.values.mean(axis=0), axis=0).min()
     return float(hidden / direct) if direct > 0 else 0.0
 

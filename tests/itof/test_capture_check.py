@@ -25,6 +25,9 @@ from itof.capture.image_check import check_image
 from itof.capture.importing import import_capture
 from itof.capture.record import imported_fov_deg, record_path
 from itof.capture.sidecar import CaptureError
+from itof.sensor.cameras import load_sensor
+from itof.sensor.demodulation import folded
+from itof.wall.expected_wall import ExpectedWall
 from itof.wall.unknown_wall import see_wall
 
 WALL = wall_of_plane()
@@ -99,6 +102,25 @@ def test_a_wall_that_is_not_flat_is_told_from_errors_of_the_camera():
     found = check_image(PHASOR * np.exp(1j * wiggling), FREQUENCIES_HZ, FOV_DEG).findings
     assert found[0].code == "phase-errors"
     assert "wiggling" in found[0].sentence
+
+
+@pytest.mark.parametrize("camera", ["opt8241", "mlx75027"])
+@pytest.mark.parametrize("plane", [SLANTED, np.array([0.1, -0.06, 1.2]), np.array([0.05, 0.0, 0.67])])
+def test_the_waves_of_an_uncalibrated_camera_are_told_and_not_refused(camera, plane):
+    wall = ExpectedWall.of_plane(plane, 40, 30, FREQUENCIES_HZ, FOV_DEG)
+    z = [folded(load_sensor(camera), wall.direct[..., n], f) for n, f in enumerate(FREQUENCIES_HZ)]
+    found = check_image(np.stack(z, axis=-1), FREQUENCIES_HZ, FOV_DEG).findings
+    assert {each.code for each in found} & {"phase-errors", "not-flat"}
+    assert not any(each.refused for each in found)
+
+
+@pytest.mark.parametrize(("times", "refused"), [(1.1, True), (0.9, False)])
+def test_50_mrad_that_are_no_waves_are_refused(times, refused):
+    column = np.linspace(-1, 1, PHASOR.shape[1])[None, :, None]
+    fit = check_image(PHASOR * np.exp(0.02j * np.sin(6 * column)), FREQUENCIES_HZ, FOV_DEG).fit
+    scale = times * 0.02 * 0.05 / np.sqrt((fit.weight[..., None] * fit.rest_rad**2).sum(axis=(0, 1))).max()
+    found = check_image(PHASOR * np.exp(1j * scale * np.sin(6 * column)), FREQUENCIES_HZ, FOV_DEG).findings
+    assert [each.refused for each in found if each.code == "phase-errors"] == [refused]
 
 
 def capture(

@@ -85,4 +85,6 @@ def test_one_depth_for_all_frequencies_holds_no_hidden_light_but_a_computed_wall
     (found,) = check_capture(tmp_path / "depth.npz", file, progress=False).found.findings
     assert (found.code, found.refused) == ("no-hidden-light", True)
     assert "are those of one depth image" in found.sentence
+    with pytest.raises(CaptureError, match="are those of one depth image"):
+        import_capture(tmp_path / "depth.npz", file, tmp_path / "out.npz", progress=False)
     assert check_image(WALL.direct, FREQUENCIES_HZ, FOV_DEG).findings == ()

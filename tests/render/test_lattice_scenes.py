@@ -31,7 +31,9 @@ def exposure_of(scene, variant, wanted, layout=SMALL):
 def exact_image(exposure):
     """(H, W, F) hidden phasors with every pixel computed."""
     field = replace(exposure.field, lattice=None)
-    return field.image(exposure._grid, hidden_rule(exposure._grid.width), exposure._direct).phasors
+    return field.image(
+        exposure._grid, hidden_rule(exposure._grid.width), exposure._direct, 0.1 * exposure.wanted
+    ).phasors
 
 
 def interpolation_error(exposure):

@@ -107,6 +107,19 @@ def random_corner(seed, **camera):
             continue
 
 
+def corner_of(width, height, **tables):
+    """A scene of the paper's corner with one object, and with these tables of the preset."""
+    tables = {"dataset": {"count": 1, "seed": 1}, "hidden_object": {"composite_fraction": 0.0}, **tables}
+    tables["camera"] = {"width": width, "height": height, **tables["camera"]}
+    return sample_valid_scene(preset_from_dict(tables, "test"), 0, refusal)
+
+
+def behind_a_gap(width, height, gap_m):
+    """The paper's corner, seen with 74.5 degrees behind a gap between its walls."""
+    middle = {"size_m": [3.3, 4.0], "location_m": [gap_m + 3.3 / 2, 0.0, 2.0]}
+    return corner_of(width, height, camera={"horizontal_fov_deg": 74.5}, middle_wall=middle)
+
+
 def loaded_corner(maker, scene, variant):
     """A scene in Mitsuba, with the wall's material that `ManyLight` takes."""
     wall = ManyLight(ManyLightOptions(), variant).rough_wall

@@ -30,6 +30,8 @@ _COARSEST = 10  # cells in the width of the film
 _CHECKS = 128  # points between the nodes, at which the interpolation is checked
 _SHARE = 0.25  # of the wanted error, for the interpolation
 _UNSURE = 4.0  # error over the change from linear to quadratic: shadows of few lights are no polynomials
+_UNEVEN = 0.05  # of a pixel's light: nodes that differ less are enough
+_MOST_EXACT = 16  # nodes in x and in y of a pixel that is not interpolated
 _CHECKED_PIXELS, _MOST_NODES = 256, 8  # for the nodes of whole pixels
 
 
@@ -55,28 +57,65 @@ class HiddenField:
     surface: int
     error: float
 
-    def image(self, grid: Grid, rule: PixelRule, direct: DirectImage) -> HiddenImage:
+    def image(self, grid: Grid, rule: PixelRule, direct: DirectImage, allowed: float) -> HiddenImage:
         """The hidden signal of each pixel.
 
         Parameters
         ----------
         rule : nodes in a pixel that sees one surface.
         direct : direct return of the same image; it knows which surface each pixel sees.
+        allowed : error by the nodes of pixels that are not interpolated, relative to the hidden signal.
         """
         z = np.zeros((grid.height * grid.width, len(self.frequencies_hz)), complex)
         surface = direct.surface.ravel()
         smooth = self._interpolated(grid, rule, surface, z)
         exact = np.flatnonzero((surface > 0) & ~smooth)
-        values = self._exact(grid.points(exact, rule.pixel_nodes).reshape(-1, 2))
-        z[exact] = np.einsum(
-            "pnf,n->pf", values.reshape(len(exact), rule.count, z.shape[-1]), rule.pixel_weights
-        )
+        if self.lattice is not None and rule.count == 1:
+            rule = gauss_rule(2)  # one node knows nothing of a shadow beside it
+        z[exact], uneven = self._means(grid, rule, exact)
+        limit = allowed * np.linalg.norm(z, axis=0).max() / np.sqrt(max(1, len(exact)))
+        changed = self._refine(grid, rule, exact[uneven > limit], limit, z)
         chosen = choose_points(direct)
         whole = self._carrier(chosen.seen_points)
         linear, quadratic = chosen.means(self._exact(chosen.points), self._carrier(chosen.points), whole)
         z += group_sums(quadratic, chosen.pixels, len(z))
         change = np.linalg.norm(group_sums(quadratic - linear, chosen.pixels, len(z)), axis=0)
-        return HiddenImage(z.reshape(grid.height, grid.width, -1), _UNSURE * change)
+        missed = np.hypot(_UNSURE * change, changed)
+        return HiddenImage(z.reshape(grid.height, grid.width, -1), missed)
+
+    def _means(
+        self, grid: Grid, rule: PixelRule, pixels: NDArray[np.int64]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """(P, F) means over pixels, and (P,) how far a node is from the carrier times a constant.
+
+        Beside a gap, the shadow of the middle wall falls into pixels. How far is 0 if it is little.
+        """
+        points = grid.points(pixels, rule.pixel_nodes).reshape(-1, 2)
+        shape = (len(pixels), rule.count, len(self.frequencies_hz))
+        values, carrier = (each(points).reshape(shape) for each in (self._exact, self._carrier))
+        mean, even = (np.einsum("pnf,n->pf", each, rule.pixel_weights) for each in (values, carrier))
+        ratio = np.divide(mean, even, out=np.zeros_like(mean), where=even != 0)
+        off = np.linalg.norm(values - ratio[:, None] * carrier, axis=-1).max(axis=-1, initial=0)
+        return mean, np.where(off > _UNEVEN * np.linalg.norm(mean, axis=-1), off, 0)
+
+    def _refine(
+        self,
+        grid: Grid,
+        rule: PixelRule,
+        pixels: NDArray[np.int64],
+        limit: float,
+        z: NDArray[np.complex128],
+    ) -> NDArray[np.float64]:
+        """Give pixels of `z` (all, F) twice the nodes until little changes; (F,) norm of the last changes."""
+        left, order = np.zeros(z.shape[-1]), len(rule.nodes)
+        while len(pixels):
+            order = 2 * order
+            finer, _ = self._means(grid, gauss_rule(order), pixels)
+            change, z[pixels] = np.abs(finer - z[pixels]), finer
+            short = (change.max(axis=-1) > limit) & (order < _MOST_EXACT)
+            left += (change[~short] ** 2).sum(axis=0)
+            pixels = pixels[short]
+        return np.asarray(np.sqrt(left))
 
     def enough_nodes(
         self, grid: Grid, rule: PixelRule, direct: DirectImage, allowed: float
@@ -152,15 +191,14 @@ class HiddenImage:
 
 @dataclass(frozen=True)
 class RunValues:
-    """The hidden signal at P points of the film, by each of R runs of lights.
+    """The hidden signal at the P nodes of a lattice, by each of R runs of lights.
 
     Attributes
     ----------
-    points : (P, 2) film positions.
     values : (R, P, F) phasors.
     """
 
-    points: NDArray[np.float64]
+    lattice: Lattice
     values: NDArray[np.complex128]
 
     @property
@@ -180,7 +218,6 @@ def make_field(
     frequencies_hz: tuple[float, ...],
     runs: RunValues,
     *,
-    aspect: float,
     most_nodes: int,
     wanted: float | None,
 ) -> HiddenField:
@@ -192,14 +229,13 @@ def make_field(
 
     Parameters
     ----------
-    runs : the hidden signal at the nodes of `first_lattice`, by the same lights.
-    aspect : width of the film over its height.
+    runs : the hidden signal at the nodes of the coarsest lattice, by the same lights.
     most_nodes : number of points that an exact image takes.
     wanted : error relative to the hidden signal; None takes the random error of the lights.
     """
     random, nothing = runs.error, np.zeros(0, complex)
     everywhere = HiddenField(scene, lights, frequencies_hz, None, nothing, nothing.astype(bool), 0, random)
-    lattice = first_lattice(aspect)
+    lattice = runs.lattice
     if not len(lights) or len(lattice.nodes) >= most_nodes:
         return everywhere
     allowed = _SHARE * (random if wanted is None else wanted)
