@@ -135,6 +135,8 @@ class _DirectPart:
 
         first_pixel, last_pixel = rows[0] * self.grid.width, rows[1] * self.grid.width
         edges, samples = self.image.edges, self.image.edge_samples
+        if self.image.lit is not None:
+            edges, samples = self.image.lit.joined(edges, samples)
         mine = np.flatnonzero((edges.pixel >= first_pixel) & (edges.pixel < last_pixel))
         mine = mine[np.argsort(edges.pixel[mine], kind="stable")]
         divided, counts = np.unique(edges.pixel[mine] - first_pixel, return_counts=True)
