@@ -84,6 +84,7 @@ QuarterTurn = Annotated[float, Bounds(0, 90, "degrees")]
 HalfTurn = Annotated[float, Bounds(0, 180, "degrees")]
 WholeTurn = Annotated[float, Bounds(0, 360, "degrees")]
 FieldOfView = Annotated[float, Bounds(MIN_FOV_DEG, MAX_FOV_DEG, "degrees")]
+BeamAngle = Annotated[float, Bounds(0.05, MAX_FOV_DEG, "degrees")]  # of a projector
 Radians = Annotated[
     float,
     Bounds(-4 * math.pi, 4 * math.pi, "radians", *["give radians, not degrees"] * 2),

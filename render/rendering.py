@@ -24,6 +24,7 @@ from itof import (
     phasor_channels,
     write_image,
 )
+from itof.exr.image import PROJECTOR
 from render.backend import drjit_threads, select_variant
 from render.batch.light import BOUNCES, SceneLight, suits
 from render.batch.scene_lights import SceneLights
@@ -161,7 +162,8 @@ class Renderer:
             remove_leftovers(folder)  # of any file: the folder is ours
         remove_failure(folder)
         edited = edited_attributes(self.dataset, scene_id, source.digest)
-        attributes = {**self._attributes(scene_id), **edited, "recipe": recipe}
+        own = {} if source.scene.has_flash else {PROJECTOR: "own"}
+        attributes = {**self._attributes(scene_id), **own, **edited, "recipe": recipe}
         with whole_files(folder, before=forget) as stage:
             if light is None:
                 measured = self._render_measurement(source, attributes, stage)

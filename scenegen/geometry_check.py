@@ -1,4 +1,4 @@
-"""Whether a scene is possible: its objects stand free, and the middle wall hides them from the camera."""
+"""Whether a scene is possible: its objects stand free, and neither camera nor projector sees them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.quantities import Vector
 from scenegen.mitsuba_description import hidden_names
 from scenegen.pose import blender_matrix
 from scenegen.scene import Scene
@@ -18,7 +19,7 @@ CLEARANCE_M = 1e-3  # objects keep this distance to the relay wall, so that no r
 
 
 def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({})) -> str | None:
-    """Why a scene is impossible, or None: an object reaches through a wall, or the camera could see it.
+    """Why a scene is impossible, or None: an object reaches through a wall, or is not hidden.
 
     The region of possible points is convex. An object is therefore possible as a whole where its outermost
     vertices are. The sentence is about the first of them that is not.
@@ -27,24 +28,26 @@ def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({}
     ----------
     meshes : the mesh files that the scene's shapes name, by shape; see `scenegen.making.meshes.read_meshes`.
     """
-    region = _possible_region(scene)  # (6, 4)
+    eyes = dict.fromkeys([scene.camera.location_m, scene.emitter.location_m])
+    region = np.vstack([_possible_region(scene, eye) for eye in eyes])  # (6 or 12, 4)
     for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
         mesh = meshes[part.shape] if part.shape in meshes else unit_mesh(part.shape)
         local = region @ blender_matrix(part.location_m, part.rotation_deg)
-        inwards = (local[:, :3] * part.size_m) @ mesh.hull.T + local[:, 3:]  # (6, N)
+        inwards = (local[:, :3] * part.size_m) @ mesh.hull.T + local[:, 3:]  # (6 or 12, N)
         outside = inwards <= 0
         if outside.any():
-            first = outside[:, outside.any(axis=0).argmax()]  # (6,)
+            first = outside[:, outside.any(axis=0).argmax()]  # (6 or 12,)
             return f"{name} " + (
                 "reaches through the relay wall" if first[0] else "shows beside the middle wall"
             )
     return None
 
 
-def _possible_region(scene: Scene) -> NDArray[np.float64]:
-    """(6, 4) half-spaces (n, d) of the points x with n·x + d > 0: in front of the relay wall, and hidden.
+def _possible_region(scene: Scene, eye: Vector) -> NDArray[np.float64]:
+    """(6, 4) half-spaces (n, d) of the points x with n·x + d > 0: in front of the relay wall, and hidden
+    from an eye.
 
-    In a frame with the middle wall's centre as origin and its normal as third axis, the camera is at
+    In a frame with the middle wall's centre as origin and its normal as third axis, the eye is at
     (a, b, c), and the sight line to a point (x, y, z) meets the wall's plane at ((cx - az), (cy - bz)) /
     (c - z). Where c > 0, the point is hidden if z < 0 and this place is on the wall, of half size h:
     |cx - az| < h_x (c - z), |cy - bz| < h_y (c - z). Where c < 0, the signs of c, z and c - z change.
@@ -54,7 +57,7 @@ def _possible_region(scene: Scene) -> NDArray[np.float64]:
     facing = relay[:3, 2]
     free = [*facing, -facing @ relay[:3, 3] - CLEARANCE_M]
     frame = middle[:3, :3].T @ np.hstack([np.eye(3), -middle[:3, 3:]])  # (3, 4)
-    camera = frame[:, :3] @ np.array(scene.camera.location_m, np.float32) + frame[:, 3]  # (3,)
+    camera = frame[:, :3] @ np.array(eye, np.float32) + frame[:, 3]  # (3,)
     side = np.sign(camera[2])
     depth = side * ([0.0, 0.0, 0.0, camera[2]] - frame[2])  # (4,) c - z
     across = side * (camera[2] * frame[:2] - np.outer(camera[:2], frame[2]))  # (2, 4)

@@ -15,7 +15,8 @@ import numpy as np
 
 from disk.quantities import Vector
 from scenegen.pose import blender_matrix
-from scenegen.scene import Camera, Emitter, RelayWall, Scene
+from scenegen.projector import dots_image
+from scenegen.scene import Camera, RelayWall, Scene
 from scenegen.wall_image import WALL_IMAGE, pfm
 
 Description = Mapping[str, Any]
@@ -58,16 +59,19 @@ def mirrored_description(scene: Scene) -> Description:
     return _description(scene, {"middle_wall": "middle_wall", **mirrored}, 1)
 
 
-def emitter_pfm(camera: Camera) -> bytes:
-    """A portable float map of ones, of the smallest size that has the camera's aspect ratio."""
-    width, height = _emitter_size(camera)
+def emitter_pfm(scene: Scene) -> bytes:
+    """The projector's image: its dots, or ones in the smallest size that has the camera's aspect ratio."""
+    if scene.emitter.dots is not None:
+        return pfm(dots_image(scene.emitter.dots, scene.emitter.spacing))
+    width, height = _emitter_size(scene.camera)
     return pfm(np.ones((height, width)))
 
 
-def is_emitter_pfm(contents: bytes, camera: Camera) -> bool:
-    """Whether `contents` are `emitter_pfm` of a camera, which need not be made for that if it is huge."""
-    width, height = _emitter_size(camera)
-    return len(contents) > 4 * width * height and contents == emitter_pfm(camera)
+def is_emitter_pfm(contents: bytes, scene: Scene) -> bool:
+    """Whether `contents` are `emitter_pfm` of a scene, which need not be made for that if it is huge."""
+    width, height = _emitter_size(scene.camera)
+    is_huge = scene.emitter.dots is None and len(contents) <= 4 * width * height
+    return not is_huge and contents == emitter_pfm(scene)
 
 
 def _description(scene: Scene, meshes: Mapping[str, str], max_bounces: int) -> Description:
@@ -77,7 +81,7 @@ def _description(scene: Scene, meshes: Mapping[str, str], max_bounces: int) -> D
         "type": "scene",
         "integrator": {"type": "path", "max_depth": max_bounces + 1},  # counts the edges after the first one
         "sensor": _sensor(scene.camera),
-        "emitter": _projector(scene.emitter),
+        "emitter": _projector(scene),
         **{f"{name}_bsdf": {"type": "twosided", "bsdf": inner} for name, inner in materials.items()},
         **{name: _mesh(name, material) for name, material in meshes.items()},
     }
@@ -109,11 +113,12 @@ def _sensor(camera: Camera) -> Description:
     }
 
 
-def _projector(emitter: Emitter) -> Description:
+def _projector(scene: Scene) -> Description:
+    emitter = scene.emitter
     return {
         "type": "projector",
         "fov_axis": "x",
-        "fov": emitter.horizontal_fov_deg + _FRUSTUM_MARGIN_DEG,
+        "fov": emitter.horizontal_fov_deg + _FRUSTUM_MARGIN_DEG * scene.has_flash,
         "scale": emitter.irradiance,
         "to_world": _pose(emitter.location_m, emitter.rotation_deg),
         "irradiance": _image(EMITTER_IMAGE, "nearest"),

@@ -36,6 +36,7 @@ from disk.quantities import (
     Roughness,
     Seed,
 )
+from scenegen.projector import ProjectorSettings
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
 Material = Literal["rough", "diffuse"]
@@ -174,7 +175,7 @@ class MiddleWallSettings:
 class CameraSettings:
     """The camera: image size in pixels, field of view, and pose (Blender: it looks along its own -z).
 
-    The projector has the same pose and the same frustum.
+    The projector has the same pose and the same frustum, unless `ProjectorSettings` says otherwise.
     """
 
     width: Annotated[int, Field(ge=1, le=100_000)] = 320
@@ -252,6 +253,9 @@ class Preset:
     # Left out of files where they are the default, so that these have the bytes of version 0.1.
     camera_spread: Annotated[CameraSpread, Field(exclude_if=lambda value: value == CameraSpread())] = (
         CameraSpread()
+    )
+    projector: Annotated[ProjectorSettings, Field(exclude_if=lambda value: value == ProjectorSettings())] = (
+        ProjectorSettings()
     )
     ground_truth: Annotated[
         GroundTruthSettings, Field(exclude_if=lambda value: value == GroundTruthSettings())

@@ -60,12 +60,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
             rotation_deg=preset.middle_wall.rotation_deg,
         ),
         camera=camera,
-        emitter=Emitter(
-            horizontal_fov_deg=camera.horizontal_fov_deg,
-            location_m=camera.location_m,
-            rotation_deg=camera.rotation_deg,
-            irradiance=1.0,
-        ),
+        emitter=_projector(preset, camera),
         max_bounces=preset.transient.max_bounces,
         mirror_occluders=preset.ground_truth.mirror_occluders,
     )
@@ -191,6 +186,19 @@ def _sample_camera(preset: Preset, rng: np.random.Generator) -> Camera:
         horizontal_fov_deg=camera.horizontal_fov_deg + wider_deg,
         location_m=_sum(camera.location_m, moved),
         rotation_deg=_turned(camera.rotation_deg, turned),
+    )
+
+
+def _projector(preset: Preset, camera: Camera) -> Emitter:
+    """The projector of a scene with this camera."""
+    own = preset.projector
+    return Emitter(
+        horizontal_fov_deg=own.horizontal_fov_deg or camera.horizontal_fov_deg,
+        location_m=camera.location_m if own.location_m is None else own.location_m,
+        rotation_deg=camera.rotation_deg if own.rotation_deg is None else own.rotation_deg,
+        irradiance=1.0,
+        dots=own.dots,
+        spacing=own.spacing,
     )
 
 

@@ -9,9 +9,9 @@ from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT, checked
 from disk.quantities import (
+    BeamAngle,
     ClassName,
     Extent,
-    FieldOfView,
     Positive,
     Reflectance,
     Roughness,
@@ -19,6 +19,7 @@ from disk.quantities import (
     WholeTurn,
 )
 from scenegen.preset import MOST_BOUNCES, CameraSettings, Material
+from scenegen.projector import Dots, Spacing, check_dots
 from scenegen.shapes import Shape
 
 COMPOSITE = "composite"
@@ -84,15 +85,20 @@ Camera = CameraSettings  # that of the preset, moved by its camera_spread
 
 @dataclass(frozen=True, config=STRICT)
 class Emitter:
-    """A projector whose flux is uniform over its image plane.
+    """A projector whose flux is uniform over its image plane, or over the dots there (`ProjectorSettings`).
 
     Its radiant intensity at the angle o to the optical axis is π irradiance / cos³ o.
     """
 
-    horizontal_fov_deg: FieldOfView
+    horizontal_fov_deg: BeamAngle
     location_m: Vector
     rotation_deg: Vector
     irradiance: Positive
+    dots: Annotated[Dots | None, Field(exclude_if=lambda value: value is None)] = None
+    spacing: Annotated[Spacing, Field(exclude_if=lambda value: value == 1)] = 1
+
+    def __post_init__(self) -> None:
+        check_dots(self.dots, self.spacing)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -129,6 +135,14 @@ class Scene:
     def id(self) -> str:
         """Name of the scene's folders: see `scene_id`."""
         return scene_id(self.index)
+
+    @property
+    def has_flash(self) -> bool:
+        """Whether the projector is at the camera and lights its whole field of view evenly."""
+        camera, emitter = self.camera, self.emitter
+        place = (camera.location_m, camera.rotation_deg, camera.horizontal_fov_deg)
+        of_emitter = (emitter.location_m, emitter.rotation_deg, emitter.horizontal_fov_deg)
+        return place == of_emitter and emitter.dots is None
 
 
 def scene_id(index: int) -> str:

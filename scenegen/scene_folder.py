@@ -92,7 +92,7 @@ def differences(folder: Path) -> str:
         return f"{folder / name} is {'missing' if name in expected else 'not one of its files'}"
     if files[SCENE_FILE] != scene_to_json(scene).encode():
         return f"{folder / SCENE_FILE} was changed"
-    if not is_emitter_pfm(files[EMITTER_IMAGE], scene.camera):
+    if not is_emitter_pfm(files[EMITTER_IMAGE], scene):
         return f"{folder / EMITTER_IMAGE} was changed"
     if image is not None and files[WALL_IMAGE] != image:
         return f"{folder / WALL_IMAGE} was changed"

@@ -26,6 +26,7 @@ from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
 from itof.light import exact_megahertz
 
+PROJECTOR = "projector"  # attribute of measurements whose light is no flash at the camera
 _COPIES = 4  # of the channels, while phasors are made of them
 _MOST_NAMES = 20  # of channels in a sentence
 _PHASOR_CHANNEL = re.compile(r"(?P<prefix>\w+)\.(?P<mhz>[0-9]{1,300}(\.[0-9]{1,300})?)MHz\.(?P<part>Re|Im)")

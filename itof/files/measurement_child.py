@@ -20,7 +20,7 @@ import numpy as np
 from disk.machine_memory import machine_bytes
 from itof.arrays import Numbers
 from itof.exr.header import ImageFileError
-from itof.exr.image import read_image
+from itof.exr.image import PROJECTOR, read_image
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.mat_reading import is_hdf5, read_mat
 from itof.files.npz_reading import read_npz
@@ -108,6 +108,11 @@ def _read_phasors(path: Path) -> Contents:
         phasors, frequencies_hz = image.phasors()  # (H, W, F)
     except ImageFileError as error:
         raise RefusedError(f"{path} holds no phasors: {error}") from None
+    if PROJECTOR in image.attributes:
+        raise RefusedError(
+            f"{path} has the light of a projector of its own: networks and fits of the wall know only a "
+            "flash at the camera"
+        )
     others = [name for name in image.channels if not name.startswith(_OUR_CHANNELS)]
     arrays = {"phasors": phasors, "frequencies_hz": np.array(frequencies_hz)}
     return arrays, [*arrays, *others]

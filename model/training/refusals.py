@@ -121,6 +121,8 @@ def _corner_problem(preset: Preset, dataset: Dataset, shards: Shards) -> str | N
         return f"{root} holds captures, which fresh scenes do not resemble"
     if not preset.is_one_corner and judged.is_one_corner:
         return f"fresh scenes have their cameras elsewhere (camera_spread), and those of {root} do not"
+    if preset.projector != judged.projector:
+        return f"the projector of fresh scenes must be that of {root}"
     if _corner(preset) != _corner(judged):
         return f"camera and relay wall of fresh scenes must be those of {root}, which judges them"
     size = f"{found.width}x{found.height} pixels"

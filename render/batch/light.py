@@ -55,12 +55,9 @@ class SceneLight:
 
 
 def suits(scene: Scene) -> bool:
-    """Whether the engine can render a scene with three bounces: its projector is at the camera."""
-    camera, emitter, roughness = scene.camera, scene.emitter, scene.relay_wall.roughness
-    place = (camera.location_m, camera.rotation_deg, camera.horizontal_fov_deg)
-    return place == (emitter.location_m, emitter.rotation_deg, emitter.horizontal_fov_deg) and (
-        roughness is None or roughness >= _LEAST_ROUGHNESS
-    )
+    """Whether the engine can render a scene with three bounces: its projector is a flash at the camera."""
+    roughness = scene.relay_wall.roughness
+    return scene.has_flash and (roughness is None or roughness >= _LEAST_ROUGHNESS)
 
 
 class BatchedLight:

@@ -37,6 +37,7 @@ from scenegen import (
 )
 from scenegen.dataset import MEASURED_GENERATOR
 from scenegen.pose import wall_geometry
+from scenegen.projector import ProjectorSettings
 from scenegen.scene import HiddenObject
 
 WallSource = Literal["empty", "preset"]  # of the relay wall's place
@@ -105,6 +106,8 @@ def write_pairs(
         raise MirrorError(
             "the preset moves the camera from scene to scene (camera_spread): describe one corner"
         )
+    if preset.projector != ProjectorSettings():
+        raise MirrorError("the preset has a projector of its own: a capture needs a flash at the camera")
     measured = [_read(Path(folder), preset) for folder in folders]
     height, width = _only_size(folders, measured)
     of_pairs = replace(

@@ -107,7 +107,7 @@ def checked_pixels(
 
 def _hidden(scene: Scene, image: Image, is_residual: bool) -> NDArray[np.float64]:
     """(H, W) hidden light in a measurement; see `Tile.hidden`."""
-    if not is_residual:
+    if not (is_residual and scene.has_flash):
         return amplitude(image.phasors("hidden")[0][..., 0])
     phasor, frequencies_hz = image.phasors()
     height, width = phasor.shape[:2]

@@ -270,7 +270,7 @@ def _strength(scene: mi.Scene, found: RunValues) -> float:
     """Norm of the hidden signal over that of the direct return, at the nodes of the trials."""
     direct = np.linalg.norm(sample_direct(scene, found.lattice.nodes, 0).radiance.astype(float))
     hidden = np.linalg.norm(found.values.mean(axis=0), axis=0).min()
-    return float(hidden / direct) if direct > 0 else 0.0
+    return float(hidden / direct) if direct > 0 else 1.0  # then all of it has nodes of its own
 
 
 def hidden_rule(width: int) -> PixelRule:

@@ -69,7 +69,7 @@ class BlenderMaker:
                 made[f"{mirrored}.ply"] = ply_bytes(world_mesh(objects[name], mirror))
         exported = {name: text.encode() for name, text in scene_files_for_mitsuba(scene).items()}
         image = wall_pfm(scene.relay_wall)
-        images = {EMITTER_IMAGE: emitter_pfm(scene.camera)} | ({} if image is None else {WALL_IMAGE: image})
+        images = {EMITTER_IMAGE: emitter_pfm(scene)} | ({} if image is None else {WALL_IMAGE: image})
         return made | exported | images | {SCENE_FILE: scene_to_json(scene).encode()}
 
     def picture(self, scene: Scene, width: int, height: int) -> NDArray[np.uint8]:

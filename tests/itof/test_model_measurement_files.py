@@ -10,7 +10,8 @@ import pytest
 from measurements import read_here, write_h5, write_npz
 from night_commands import refusal
 
-from itof import write_image
+from itof import phasor_channels, write_image
+from itof.exr.image import PROJECTOR
 from itof.files.array_claims import RefusedError
 from itof.files.measurement_files import MeasurementError
 
@@ -125,6 +126,8 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(finished_run
     (tmp_path / "half.exr").write_bytes(exr.read_bytes()[:-300])
     shutil.copy(exr.with_name("mirrored.exr"), tmp_path / "truth.exr")
     write_image(tmp_path / "photo.exr", {"R": np.ones((14, 24))}, {})
+    lit_by_dots = phasor_channels(np.ones((14, 24, 1)), (20e6,))
+    write_image(tmp_path / "dots.exr", lit_by_dots, {PROJECTOR: "own"})
     (tmp_path / "m.png").write_bytes(b"")
     for name, words in (
         ("nowhere.npz", "does not exist"),
@@ -144,6 +147,7 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(finished_run
         ("no.h5", "no HDF5 file"),
         ("other.h5", "no array phasors; it holds phasors"),
         ("photo.exr", "holds no phasors"),
+        ("dots.exr", "has the light of a projector of its own"),
     ):
         with pytest.raises((RefusedError, MeasurementError), match=f"{name}.*{words}"):
             read_here(tmp_path / name)

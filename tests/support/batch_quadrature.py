@@ -10,6 +10,8 @@ from itof import phase_per_metre
 from scenegen.making.outlines import clipped, wall_corners
 from scenegen.pose import camera_axes, rotation_matrix
 
+_ROUNDED = 1e-9  # of a film, and metres
+
 
 class Sides:
     """A rectangle: its middle, normal, unit sides and half extents."""
@@ -33,39 +35,91 @@ class Sides:
             return share, (before * behind < 0) & (np.abs(self.places(where)) <= 1).all(-1)
 
 
-class CubeLight:
-    """The direct and hidden radiance of a scene with one cube, W m^-2 sr^-1."""
+class Pinhole:
+    """A camera or a projector: its place, its axes right, down and forward, and half its film z = 1."""
 
-    def __init__(self, scene, frequencies_hz, cells, nodes):
-        self.scene, self.turns = scene, phase_per_metre(frequencies_hz)
-        self.relay, self.middle = Sides(scene.relay_wall), Sides(scene.middle_wall)
-        self.camera, self.axes = np.array(scene.camera.location_m), camera_axes(scene.camera)
-        self.points, self.normals, self.areas = _cube(scene.hidden_objects[0], nodes)
-        x, y = self.centres(4 * cells, 3 * cells)
-        at, seen, _ = self.on_wall(x, y)
-        flux = np.pi * (x[0, 1] - x[0, 0]) * (y[1, 0] - y[0, 0]) * seen  # of each film cell, at 1 W/m²
-        lit = flux > 0
-        transfer, way = self._exchanged(at[lit])
-        radiosity = self.reflectance(at[lit]) / np.pi * flux[lit]  # per cosine and square metre
-        travelled = np.linalg.norm(at[lit] - self.camera, axis=-1)[:, None] + way
-        self.irradiance = [
-            (radiosity[:, None] * transfer * np.exp(1j * k * travelled)).sum(0) for k in self.turns
-        ]
+    def __init__(self, place, aspect):
+        self.place, self.axes = np.array(place.location_m), camera_axes(place)
+        wide = np.tan(np.radians(place.horizontal_fov_deg) / 2)
+        self.half = np.array([wide, wide / aspect])
 
     def centres(self, width, height):
-        """(H, W) x and y of the middles of even cells of the film z = 1."""
-        half = np.tan(np.radians(self.scene.camera.horizontal_fov_deg) / 2)
-        aspect = self.scene.camera.width / self.scene.camera.height
+        """(H, W) x and y of the middles of even cells of the film."""
         x, y = ((np.arange(count) + 0.5) / count * 2 - 1 for count in (width, height))
-        return np.meshgrid(x * half, y * half / aspect)
+        return np.meshgrid(x * self.half[0], y * self.half[1])
 
-    def on_wall(self, x, y):
+    def film(self, points):
+        """Film x and y of points."""
+        local = (points - self.place) @ self.axes.T
+        return local[..., 0] / local[..., 2], local[..., 1] / local[..., 2]
+
+    def dots(self, emitter):
+        """(2, N, 2) first and last x and y of the dots of a projector, the whole film if it has none."""
+        columns, rows = emitter.dots or (1, 1)
+        middles = np.stack(self.centres(columns, rows), axis=-1).reshape(-1, 2)
+        reach = self.half / (columns, rows) / emitter.spacing
+        return np.stack([middles - reach, middles + reach])
+
+
+class CubeLight:
+    """The direct and hidden radiance of a scene with one cube, W m^-2 sr^-1.
+
+    Parameters
+    ----------
+    cells : a third of the film cells along each column.
+    nodes : along each side of a face of the cube.
+    surface : points (S, 3), normals (S, 3) and areas (S,) of another hidden surface; its normals leave it.
+    shadow : function of wall points (M, 3); (M, S) whether that surface hides its points from them.
+    """
+
+    def __init__(self, scene, frequencies_hz, cells, nodes=0, surface=None, shadow=None):
+        self.scene, self.turns = scene, phase_per_metre(frequencies_hz)
+        self.relay, self.middle = Sides(scene.relay_wall), Sides(scene.middle_wall)
+        aspect = scene.camera.width / scene.camera.height
+        columns, rows = scene.emitter.dots or (scene.camera.width, scene.camera.height)
+        self.eye, self.projector = Pinhole(scene.camera, aspect), Pinhole(scene.emitter, columns / rows)
+        self.camera = self.eye.place
+        self.points, self.normals, self.areas = surface or _cube(scene.hidden_objects[0], nodes)
+        self.shadow = shadow
+        x, y, area = self.lit_film(cells)
+        at, seen, _ = self.on_wall(x, y, self.projector)
+        flux, lit = np.pi * area * seen, seen  # of each film cell, at 1 W/m²
+        at, flux = at[lit], flux[lit]
+        radiosity = self.reflectance(at) / np.pi * flux  # per cosine and square metre
+        reach = np.linalg.norm(at - self.projector.place, axis=-1)
+        self.irradiance = np.zeros((len(self.turns), len(self.points)), complex)
+        for rows in self._parts(at):
+            transfer, way = self._exchanged(at[rows])
+            for place, k in enumerate(self.turns):
+                sent = radiosity[rows] * np.exp(1j * k * reach[rows])
+                self.irradiance[place] += sent @ (transfer * np.exp(1j * k * way))
+
+    def centres(self, width, height):
+        """(H, W) x and y of the middles of even cells of the camera's film."""
+        return self.eye.centres(width, height)
+
+    def lit_film(self, cells):
+        """x, y and areas of even cells, as many in each dot as on a film without dots."""
+        x, y = (
+            np.stack(np.meshgrid(*[np.arange(n * cells) + 0.5 for n in (4, 3)]))
+            / np.array([4, 3])[:, None, None]
+            / cells
+        )
+        first, last = self.projector.dots(self.scene.emitter)
+        x, y = (
+            first[:, axis, None] + each.ravel() * (last - first)[:, axis, None]
+            for axis, each in enumerate((x, y))
+        )
+        return x.ravel(), y.ravel(), np.prod(last[0] - first[0]) / (12 * cells**2)
+
+    def on_wall(self, x, y, pinhole=None):
         """Places where film points see the relay wall, whether they do, and the cosine there."""
-        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.axes
+        pinhole = pinhole or self.eye
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ pinhole.axes
         away = 100 * rays
-        share, meets = self.relay.crossing(self.camera + 0 * away, self.camera + away)
-        at = self.camera + share[..., None] * away
-        nearer, hidden = self.middle.crossing(self.camera + 0 * away, at)
+        share, meets = self.relay.crossing(pinhole.place + 0 * away, pinhole.place + away)
+        at = pinhole.place + share[..., None] * away
+        nearer, hidden = self.middle.crossing(pinhole.place + 0 * away, at)
         cosine = np.abs(rays @ self.relay.normal) / np.linalg.norm(rays, axis=-1)
         return at, meets & ~(hidden & (nearer < 1)), cosine
 
@@ -81,23 +135,68 @@ class CubeLight:
 
     def direct(self, x, y):
         """Radiance of the direct return at film points, without its phase; 0 where the wall is not seen."""
-        at, seen, cosine = self.on_wall(x, y)
+        at, seen, _ = self.on_wall(x, y)
+        x, y = self.projector.film(at)
+        first, last = self.projector.dots(self.scene.emitter)
+        film = np.stack([x, y], axis=-1)[..., None, :]
+        lit = ((film >= first - _ROUNDED) & (film <= last + _ROUNDED)).all(-1).any(-1)
+        _, free, cosine = self.on_wall(x, y, self.projector)
         intensity = np.pi * np.sqrt(1 + x**2 + y**2) ** 3  # of the projector: π / cos³
+        squared = ((at - self.projector.place) ** 2).sum(-1)
+        return np.where(seen & lit & free, self.reflectance(at) / np.pi * cosine * intensity / squared, 0)
+
+    def lengths(self, x, y):
+        """Lengths of the ways from the projector over the wall to film points."""
+        at, _, _ = self.on_wall(x, y)
+        return sum(np.linalg.norm(at - place, axis=-1) for place in (self.projector.place, self.camera))
+
+    def direct_image(self, width, height, cells):
+        """(H, W, F) direct phasors: each cell of the projector's film, in the pixel that sees its middle."""
+        x, y, area = self.lit_film(cells)
+        at, lit, _ = self.on_wall(x, y, self.projector)
+        x, y = self.eye.film(at)
+        again, seen, cosine = self.on_wall(x, y)
+        lit &= seen & (np.linalg.norm(again - at, axis=-1) < _ROUNDED)
         squared = ((at - self.camera) ** 2).sum(-1)
-        return np.where(seen, self.reflectance(at) / np.pi * cosine * intensity / squared, 0)
+        energy = self.reflectance(at) * area * cosine * np.sqrt(1 + x**2 + y**2) ** 3 / squared
+        columns, rows = (
+            np.floor((f / h + 1) / 2 * n)
+            for f, h, n in zip((x, y), self.eye.half, (width, height), strict=True)
+        )
+        kept = lit & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        pixel = (rows * width + columns)[kept].astype(int)
+        image = np.zeros((width * height, len(self.turns)), complex)
+        turned = np.exp(1j * self.turns * self.lengths(x, y)[kept, None])
+        np.add.at(image, pixel, energy[kept, None] * turned)
+        return image.reshape(height, width, -1) * width * height / (4 * self.eye.half.prod())
 
     def over_direct(self, width, height):
         """(H, W, F) hidden over direct phasors at pixel centres; NaN where the wall is not seen."""
         x, y = self.centres(width, height)
-        at, seen, _ = self.on_wall(x, y)
-        transfer, way = self._exchanged(at[seen])
-        sent = [self.areas * self.scene.hidden_objects[0].reflectance / np.pi * e for e in self.irradiance]
-        reach = np.linalg.norm(at[seen] - self.camera, axis=-1)[:, None]
-        found = np.full((height, width, len(self.turns)), np.nan, complex)
-        for place, (k, power) in enumerate(zip(self.turns, sent, strict=True)):
-            radiance = (transfer * power * np.exp(1j * k * (way - reach))).sum(1)
-            found[seen, place] = self.reflectance(at[seen]) / np.pi * radiance / self.direct(x, y)[seen]
-        return found
+        _, seen, _ = self.on_wall(x, y)
+        back = np.exp(-1j * self.turns * self.lengths(x, y)[..., None])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.hidden(x, y) * back / np.where(seen, self.direct(x, y), np.nan)[..., None]
+
+    def hidden(self, x, y):
+        """(H, W, F) phasors of the hidden light at film points; 0 where the wall is not seen."""
+        all_at, seen, _ = self.on_wall(x, y)
+        at = all_at[seen]
+        found = np.empty((len(at), len(self.turns)), complex)
+        sent = self.areas * self.scene.hidden_objects[0].reflectance / np.pi * self.irradiance
+        for rows in self._parts(at):
+            transfer, way = self._exchanged(at[rows])
+            for place, k in enumerate(self.turns):
+                found[rows, place] = (transfer * np.exp(1j * k * way)) @ sent[place]
+        reach = np.linalg.norm(at - self.camera, axis=-1)[:, None]
+        image = np.zeros((*seen.shape, len(self.turns)), complex)
+        image[seen] = found * np.exp(1j * self.turns * reach) * (self.reflectance(at) / np.pi)[:, None]
+        return image
+
+    def _parts(self, at):
+        """Slices of wall points, each of which has a million pairs with the surface at most."""
+        step = max(1, 10**6 // len(self.points))
+        return [slice(first, first + step) for first in range(0, len(at), step)]
 
     def _exchanged(self, at):
         """(M, S) cos cos / d² between wall points and points of the cube, 0 in shadow, and d."""
@@ -107,6 +206,8 @@ class CubeLight:
         at_cube = np.maximum(-(gap * self.normals).sum(-1) / way, 0)
         start = np.broadcast_to(at[:, None], gap.shape)
         _, hidden = self.middle.crossing(start, start + gap)
+        if self.shadow is not None:
+            hidden |= self.shadow(at)
         return np.where(hidden, 0, at_wall * at_cube / way**2), way
 
 

@@ -51,6 +51,7 @@ def divide_pixels(
     candidates: NDArray[np.int64],
     surfaces: Callable[[NDArray[np.float64]], NDArray[np.uint32]],
     divisions: int,
+    first_cells: int = _FIRST_CELLS,
 ) -> EdgePixels:
     """Divide those of the candidate pixels that see several surfaces.
 
@@ -59,13 +60,14 @@ def divide_pixels(
     candidates : row-major indices.
     surfaces : (N, 2) film positions -> (N,) number of the surface that is seen there.
     divisions : how often cells with an edge are divided into four.
+    first_cells : of a pixel, along x and y, before any division.
     """
     size = (grid.width, grid.height)
     corner = np.stack([candidates % grid.width, candidates // grid.width], axis=-1).astype(float)
-    offsets = np.stack(np.meshgrid(*[np.arange(_FIRST_CELLS) / _FIRST_CELLS] * 2), axis=-1).reshape(-1, 2)
+    offsets = np.stack(np.meshgrid(*[np.arange(first_cells) / first_cells] * 2), axis=-1).reshape(-1, 2)
     cells = (corner[:, None] + offsets).reshape(-1, 2)  # corners of the cells, in pixels
     owner = np.repeat(candidates, len(offsets))
-    length, found, crossed = 1 / _FIRST_CELLS, [], []
+    length, found, crossed = 1 / first_cells, [], []
     for division in range(divisions + 1):
         if not len(cells):
             break

@@ -187,7 +187,9 @@ def direct_bins(
     scene: mi.Scene, grid: Grid, image: DirectImage, layout: TransientLayout, seed: int
 ) -> DirectBins:
     """The light of all cells, and of nodes where cells are not exact enough."""
-    rule, edges = cell_rule(grid.width), image.edges
+    rule, edges, edge_samples = cell_rule(grid.width), image.edges, image.edge_samples
+    if image.lit is not None:
+        edges, edge_samples = image.lit.joined(edges, edge_samples)
     blocks = [_cells_of_rows(scene, grid, rows, rule, layout, seed) for rows in grid.blocks(rule)]
     cells = Cells(*(np.concatenate([getattr(each, one.name) for each in blocks]) for one in fields(Cells)))
     uniform = np.ones(len(cells.smooth), bool)
@@ -196,7 +198,7 @@ def direct_bins(
     samples = sample_direct(scene, grid.points(rough, fine.pixel_nodes).reshape(-1, 2), seed)
     pixel = np.concatenate([np.repeat(rough, fine.count), edges.pixel])
     order = np.argsort(pixel, kind="stable")
-    samples = DirectSamples.joined([samples, image.edge_samples]).at(order)
+    samples = DirectSamples.joined([samples, edge_samples]).at(order)
     weights = np.concatenate([np.tile(fine.pixel_weights, len(rough)), edges.weights])[order]
     by_cells = np.flatnonzero(uniform & cells.smooth & cells.energy.any(axis=1))
     return DirectBins(grid.width, cells, by_cells, samples, samples.radiance * weights, pixel[order])

@@ -26,6 +26,7 @@ from render.transport.passes.direct_samples import (
     sample_direct,
     seen_surfaces,
 )
+from render.transport.passes.lit_pixels import LitPixels, lit_pixels
 from render.transport.passes.node_counts import MOST_NODES, PixelRange, needed_order, rule_error
 from render.transport.passes.seen_walls import seen_walls
 from render.walls.corners import Corners
@@ -63,6 +64,7 @@ class DirectImage:
         pixels of `edges`.
     edges : the pixels that see several surfaces, with their cells and the direct return there.
     edge_samples : the direct return at the points of `edges`.
+    lit : the pixels that are lit in part; None of a flash at the camera, which lights all that it sees.
     missed : bound of the norm of the error of `phasors`, (F,): rounding, and what more nodes would change.
     """
 
@@ -70,6 +72,7 @@ class DirectImage:
     surface: NDArray[np.int64]
     edges: EdgePixels
     edge_samples: DirectSamples
+    lit: LitPixels | None
     missed: NDArray[np.float64]
 
 
@@ -117,8 +120,13 @@ def gather_direct(
     steep = lit[needed_order(change) > order]
     found = measure.nodes(lambda pixels, n: _pixel_nodes(grid, pixels, n), steep, 2 * order)
     flat[steep] = group_sums(measure.phasors(found.samples, found.weights), found.pixel, len(flat))[steep]
+    lit_in_part = lit_pixels(scene, grid, seed, edge_divisions)
+    if lit_in_part is not None:
+        nodes = lit_in_part.nodes
+        z = measure.phasors(lit_in_part.samples, nodes.weights)
+        flat[nodes.pixels] = group_sums(z, nodes.pixel, len(flat))[nodes.pixels]
     all_missed = np.hypot(np.hypot(missed, found.missed), changed * np.linalg.norm(flat, axis=0))
-    return DirectImage(phasors, surface, edges, samples, all_missed)
+    return DirectImage(phasors, surface, edges, samples, lit_in_part, all_missed)
 
 
 @dataclass(frozen=True)
@@ -276,16 +284,15 @@ def _means(
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.bool_]]:
     """Of some pixels: mean radiance (P,) and phasors (P, F), and (P,) whether the nodes are enough for them.
 
-    The radiance is NaN where the nodes see several surfaces.
+    The radiance is NaN where the nodes see several surfaces, or light and shadow.
     """
     rule = gauss_rule(order)
     samples = sample_direct(measure.scene, grid.points(pixels, rule.pixel_nodes).reshape(-1, 2), measure.seed)
     radiance, opl_m, surface = (
         each.reshape(len(pixels), -1) for each in (samples.radiance, samples.opl_m, samples.surface)
     )
-    mean = np.where(
-        (surface == surface[:, :1]).all(axis=1), radiance.astype(float) @ rule.pixel_weights, np.nan
-    )
+    whole = (surface == surface[:, :1]).all(axis=1) & ((radiance > 0) == (radiance[:, :1] > 0)).all(axis=1)
+    mean = np.where(whole, radiance.astype(float) @ rule.pixel_weights, np.nan)
     phasors = measure.phasors(samples, np.tile(rule.pixel_weights, len(pixels)))
     steady = (radiance > 0).all(axis=1)
     ends = (end(each, axis=1) for each in (opl_m[steady], radiance[steady]) for end in (np.min, np.max))
