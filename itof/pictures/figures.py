@@ -23,14 +23,17 @@ LEAST_DEPTH_SPAN_M = 0.4  # with a smaller colour range, the noise of a flat obj
 DOTS_PER_INCH = 150
 
 
-def prediction_figure(title: str, one: DepthMap) -> Figure:
+def prediction_figure(title: str, one: DepthMap, light: str = "") -> Figure:
     """Re, Im, radial depth and, where it is known, its expected error, of one (H, W) prediction.
 
-    The outline of the mask is drawn over Re and Im; depth and error are drawn inside the mask only.
+    `light` says how much of the hidden light it explains. The outline of the mask is drawn over Re and Im;
+    depth and error are drawn inside the mask only.
     """
     height, width = one.mask.shape
     names = PANELS if one.depth_error_m is None else (*PANELS, ERROR_PANEL)
-    figure = Figure(figsize=(3.5 * len(names), 1.6 + 3.0 * height / width), layout="constrained")
+    figure = Figure(
+        figsize=(3.5 * len(names), 1.6 + 0.2 * bool(light) + 3.0 * height / width), layout="constrained"
+    )
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(names))
     components = []
@@ -51,6 +54,7 @@ def prediction_figure(title: str, one: DepthMap) -> Figure:
     bar.locator = MaxNLocator(4)
     shown = int(np.count_nonzero(one.mask))
     said = f"{shown} of {width * height} pixels show an object" if shown else "no pixel shows an object"
+    said += f"\n{light}" if light else ""
     figure.suptitle(f"{plain(title)}\n{said}", fontsize=11)
     return figure
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_rgba
@@ -31,6 +32,7 @@ from model.judging.scene_result import SceneResult, judge_scene
 from model.judging.showcase import ShownScene
 from model.network.metrics import summarise
 from model.network.readout import Readout
+from model.prediction.explained_light import ExplainedLight
 from model.prediction.predictor import BATCH, Predictor
 from processes.progress import showing_progress
 from scenegen import Dataset, Split
@@ -64,16 +66,27 @@ class Bench:
 
     def predict(self, block: RowBlock) -> DepthMap:
         """Predictions of rows, from the frequencies of the training."""
-        used = self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
-        fields_of_view_deg = self.shards.fields_of_view_deg(block.rows)
-        prediction = self.predictor.predict(
-            block.phasors[..., used],
-            None if fields_of_view_deg else self.shards.reference[..., used],
-            fields_of_view_deg=fields_of_view_deg,
-        )
+        prediction = self.predictor.predict(block.phasors[..., self._used], **self._seen(block))
         if self.readout == self.predictor.config.readout:
             return prediction
         return reread(prediction, self.readout)
+
+    def lights(self, block: RowBlock, predictions: DepthMap) -> tuple[ExplainedLight | None, ...]:
+        """What the predictions of rows explain of their light."""
+        images = block.phasors[..., self._used]
+        return self.predictor.explained_light(images, predictions, **self._seen(block))
+
+    def _seen(self, block: RowBlock) -> dict[str, Any]:
+        """The reference of rows, or their fields of view."""
+        fields_of_view_deg = self.shards.fields_of_view_deg(block.rows)
+        if fields_of_view_deg:
+            return {"fields_of_view_deg": fields_of_view_deg}
+        return {"reference": self.shards.reference[..., self._used]}
+
+    @property
+    def _used(self) -> list[int]:
+        """Places of the training's frequencies."""
+        return self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
 
 
 def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
@@ -91,11 +104,14 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
         sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
         reliability.add(predictions.phasor, block.mask)
         depth_reliability.add(predictions, block.radial_depth_m, block.mask)
+        lights = bench.lights(block, predictions)
         for index, name in enumerate(bench.shards.ids(block.rows)):
             scene = bench.dataset.scene(name)
             truth_m, mask = block.radial_depth_m[index], block.mask[index]
             prediction, fov_deg = predictions[index], scene.camera.horizontal_fov_deg
-            result = judge_scene(scene, prediction, truth_m, mask, has_probability=has_probability)
+            result = judge_scene(
+                scene, prediction, truth_m, mask, lights[index], has_probability=has_probability
+            )
             results.append(result)
             points_gt_m = object_points(truth_m, mask, fov_deg)
             points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, fov_deg)

@@ -80,6 +80,7 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         "object_distance_m": _plain(report.object_distance_m),
         "relative_mae": {who: _plain(each) for who, each in report.relative_mae.items()},
         "expected_mae_m": _plain(report.expected_mae_m),
+        "explained_light": _plain(report.explained_light),
         "reliability": report.reliability.as_data() if report.reliability else None,
         "depth_reliability": report.depth_reliability.as_data() if report.depth_reliability else None,
         "roundness": {who: _plain(each) for who, each in report.roundness.items()},

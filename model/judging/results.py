@@ -40,6 +40,7 @@ MEASURES = (
 )
 BY_DISTANCE = Measure("relative_mae", "MAE / object distance, %", 100.0)
 ROUNDNESS = Measure("roundness", "roundness of the mask", 1.0)
+EXPLAINED = Measure("explained_light", "explained hidden light, %", 100.0)
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,11 @@ class Report:
     def expected_mae_m(self) -> Statistics | None:
         """MAE that the network expects of the scenes, metres; None if it predicts no probabilities."""
         return _present([scene.expected_mae_m for scene in self.scenes])
+
+    @property
+    def explained_light(self) -> Statistics | None:
+        """Share of the hidden light that the predictions explain; None without residual channels."""
+        return _present([scene.explained_light for scene in self.scenes])
 
     @property
     def accuracy_histogram(self) -> AccuracyHistogram:
@@ -137,6 +143,8 @@ class Report:
                     yield measure, "expected by the network", _texts(self.expected_mae_m, measure.scale)
                 yield from self._by_distance()
 
+        if self.explained_light:
+            yield EXPLAINED, "prediction", _texts(self.explained_light, EXPLAINED.scale)
         whose = ("prediction", "truth", "prediction - truth")
         for who, statistics in zip(whose, self.roundness.values(), strict=True):
             yield ROUNDNESS, who, _texts(statistics, ROUNDNESS.scale)
@@ -166,6 +174,7 @@ def scene_numbers(result: SceneResult) -> dict[str, str | float | None]:
         "roundness_pred": result.roundness_pred,
         "no_object_mae_m": result.no_object.depth_mae_m,
         "expected_mae_m": result.expected_mae_m,
+        "explained_light": result.explained_light,
     }
 
 

@@ -11,6 +11,7 @@ from itof import DepthMap
 from model.judging.roundness import disc_iou
 from model.network.metrics import ImageMetrics, image_metrics, no_object_metrics
 from model.prediction.expected_error import expected_mae_m
+from model.prediction.explained_light import ExplainedLight
 from scenegen import Scene
 
 
@@ -26,6 +27,7 @@ class SceneResult:
     object_distance_m : mean radial depth of these pixels in the ground truth, metres; None if there are none.
     roundness_gt, roundness_pred : `disc_iou` of the masks of ground truth and prediction; None if empty.
     expected_mae_m : MAE over all pixels that the network expects; None if it predicts no probabilities.
+    explained_light : `ExplainedLight.share`; None without residual channels, too.
     """
 
     scene: str
@@ -40,6 +42,7 @@ class SceneResult:
     roundness_gt: float | None
     roundness_pred: float | None
     expected_mae_m: float | None = None
+    explained_light: float | None = None
 
     def by_distance(self, metrics: ImageMetrics) -> float | None:
         """MAE over all pixels as a part of the object's mean distance; None if the truth shows no object.
@@ -54,6 +57,7 @@ def judge_scene(
     prediction: DepthMap,
     radial_depth_gt_m: NDArray[np.float32],
     mask_gt: NDArray[np.uint8],
+    light: ExplainedLight | None = None,
     *,
     has_probability: bool = False,
 ) -> SceneResult:
@@ -61,6 +65,7 @@ def judge_scene(
 
     Parameters
     ----------
+    light : hidden light of the measurement, and what the prediction explains of it.
     has_probability : the amplitude of the predicted phasor is the probability of the object.
     """
     on_object_m = radial_depth_gt_m[mask_gt > 0]  # (n,)
@@ -77,4 +82,5 @@ def judge_scene(
         roundness_gt=disc_iou(mask_gt),
         roundness_pred=disc_iou(prediction.mask),
         expected_mae_m=expected_mae_m(prediction) if has_probability else None,
+        explained_light=None if light is None else light.share,
     )

@@ -8,6 +8,7 @@ because the brightness of the object and of the wall's lobe are not known.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,11 +18,18 @@ from numpy.typing import ArrayLike
 from itof import DepthMap, residual_channels
 from itof.arrays import Bools, Floats, Phasors
 from itof.wall.expected_wall import ExpectedWall
+from itof.wall.finding import Finding
 from model.network.channels import InputSpec
 from model.prediction.surface_light import surface_light
 
 _WEAK: Final = 2e-3  # of the direct return: as much hidden light as there may be
 _SIGMAS: Final = 5.0  # of the energy of noise: less light tells nothing
+# Of good measurements of new scenes, fewer than one in a hundred has such a finding
+# (benchmarks/foreign_measurements.py).
+SHARE_REFUSED: Final = 0.02
+SHARE_NOTED: Final = 0.3
+LEAST_LIGHT: Final = 1e-4  # of the direct return; objects that are seen have more
+MOST_LIGHT: Final = 0.03
 
 
 @dataclass(frozen=True)
@@ -32,23 +40,57 @@ class ExplainedLight:
     ----------
     strength : root mean square of what is not the wall's, without noise; 0 if noise hides it.
     noise : of a pixel.
+    hideable : strength of the light that this noise would hide.
     share : part of its energy that the predicted surface explains, at most 1; 0 without an object; None if
         noise hides it.
     """
 
     strength: float
     noise: float
+    hideable: float
     share: float | None
 
     @property
     def words(self) -> str:
         """The outcome as text."""
         if self.share is None:
-            return "noise hides the hidden light"
+            return f"noise hides the hidden light if it is below {_per_mille(self.hideable)}"
         return (
-            f"{100 * self.share:.0f} % of the hidden light is explained, which is {1e3 * self.strength:.2g} "
-            "per mille of the direct light"
+            f"{100 * self.share:.0f} % of the hidden light is explained, which is {_per_mille(self.strength)}"
         )
+
+    def findings(self, *, shows_object: bool) -> Iterator[Finding]:
+        """What makes an answer with or without an object doubtful."""
+        if self.strength > MOST_LIGHT:
+            words = (
+                f"what is not the wall's light is {_per_mille(self.strength)}, far more than hidden light "
+            )
+            yield Finding(
+                "unexplained", words + "is: a camera that is not calibrated, or a bright room?", False
+            )
+        elif shows_object and self.share is None:
+            words = (
+                f"noise hides the hidden light ({_per_mille(self.hideable)} would be seen), so the object is "
+            )
+            yield Finding("unexplained", words + "a guess of the network: average more frames", False)
+        elif shows_object and self.share is not None and self.share < SHARE_NOTED:
+            words = (
+                f"the object that the network shows explains {100 * self.share:.0f} % of the light that is "
+            )
+            words += "not the wall's: a camera that is not calibrated, another corner, or parts of several "
+            yield Finding("unexplained", words + "measurements?", self.share < SHARE_REFUSED)
+        elif not shows_object and self.share is not None and self.strength > LEAST_LIGHT:
+            words = (
+                f"the network shows no object, but {_per_mille(self.strength)} is not the wall's light: a "
+            )
+            words += (
+                "camera that is not calibrated, another corner, or an object that the network does not know?"
+            )
+            yield Finding("unexplained", words, False)
+
+
+def _per_mille(strength: float) -> str:
+    return f"{1e3 * strength:.2g} per mille of the direct light"
 
 
 def explained_light(
@@ -67,8 +109,10 @@ def explained_light(
     noise, alike = _noise_energy(measured, used)  # of a value
     count = max(int(used.sum()) * len(measured), 1)
     energy = float((measured[:, used] ** 2).sum()) - count * noise
-    if energy <= _SIGMAS * noise * count * np.sqrt(2 / alike):
-        return ExplainedLight(0.0, float(np.sqrt(noise)), None)
+    hideable = _SIGMAS * noise * np.sqrt(2 / alike)  # mean square
+    known = float(np.sqrt(noise)), float(np.sqrt(hideable))
+    if energy <= count * hideable:
+        return ExplainedLight(0.0, *known, None)
     share = 0.0
     hidden = surface_light(np.asarray(prediction.radial_depth_m, np.float64), prediction.mask, wall)
     largest = float(np.abs(hidden).max())
@@ -78,7 +122,7 @@ def explained_light(
         model = model * used
         along = float((measured * model).sum())
         share = max(along, 0.0) ** 2 / float((model**2).sum()) / energy
-    return ExplainedLight(float(np.sqrt(energy / count)), float(np.sqrt(noise)), min(share, 1.0))
+    return ExplainedLight(float(np.sqrt(energy / count)), *known, min(share, 1.0))
 
 
 def _light(inputs: InputSpec, z: Phasors, wall: ExpectedWall) -> tuple[Floats, Phasors]:

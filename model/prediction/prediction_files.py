@@ -19,7 +19,7 @@ from itof.files.measurement_files import Measurement, MeasurementError
 from itof.pictures.figures import prediction_figure, write_figure
 from itof.pictures.pointclouds import object_points, write_point_cloud
 from itof.pictures.wall_figure import wall_figure
-from itof.wall.check_result import MeasurementCheck, WallSummary
+from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.empty_corner import CapturedPlane
 from itof.wall.wall_fit import RobustFit
 from itof.wall.wall_search import locate_wall
@@ -31,9 +31,9 @@ from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
-# 5 no uncertainty of the wall's distance and angle, and no `light`.
-PREDICTION_SCHEMA: Final = 6
-_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6)  # of earlier predictions, which are replaced
+# 5 no uncertainty of the wall's distance and angle, and no `light`; 6 no `hideable` light.
+PREDICTION_SCHEMA: Final = 7
+_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6, 7)  # of earlier predictions, which are replaced
 _SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
 _LEAST_TOLD_M: Final = 1e-3
@@ -148,8 +148,8 @@ def predict_file(
     Raises
     ------
     ImplausibleError : the light in the file is not that of the run's relay wall: no wall, a wrong sign, order
-        or axis, another pose, an uncalibrated camera; or the training had other fields of view. Not with
-        `force`.
+        or axis, another pose, an uncalibrated camera; or what is predicted explains almost none of it, or the
+        training had other fields of view. Not with `force`.
     MeasurementError : the file cannot be read, `horizontal_fov_deg` is no field of view, or the run was
         trained for another image size or for frequencies that the file lacks.
     PredictionError : `out` contains anything but an earlier prediction.
@@ -164,14 +164,18 @@ def predict_file(
     measured = fitting_measurement(predictor, measurement_file, run)
     chosen = not measured.in_training_unit if rescale is None else rescale
     check = check_measured(predictor, measured, rescale=chosen, thorough=force, progress=progress)
-    if check.refused and not force:
-        raise ImplausibleError(
-            f"{measurement_file} is not what {run} was trained on: {'; '.join(check.warnings)}; "
-            "with --force (force=True) it is predicted all the same"
-        )
+    _refuse_implausible(check, measured, run, force)
     wall = None if measured.reference is None else predictor.found_wall(measured.reference)
     with whole_folder(out) as folder:
         images = _predict_all(predictor, measured, check, chosen, folder, progress)
+        doubts = [
+            (finding, image.name)
+            for image in images
+            if image.light is not None
+            for finding in image.light.findings(shows_object=image.object_pixels > 0)
+        ]
+        check = replace(check, findings=(*check.findings, *joined(doubts)))
+        _refuse_implausible(check, measured, run, force)
         record: dict[str, Any] = {
             "schema_version": PREDICTION_SCHEMA,
             "run": str(run.resolve()),
@@ -189,6 +193,14 @@ def predict_file(
         write_text(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
         _refuse_other_contents(out)  # which may have got other files meanwhile
     return FilePrediction(images, check, wall)
+
+
+def _refuse_implausible(check: MeasurementCheck, measured: Measurement, run: Path, force: bool) -> None:
+    if check.refused and not force:
+        raise ImplausibleError(
+            f"{measured.path} is not what {run} was trained on: {'; '.join(check.warnings)}; "
+            "with --force (force=True) it is predicted all the same"
+        )
 
 
 def _refuse_other_view(predictor: Predictor, horizontal_fov_deg: float, run: Path, force: bool) -> None:
@@ -234,8 +246,7 @@ def _predict_all(
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
                 wall = check.walls[start + index]
-                image = _write(folder, name, predictions[index], wall, predictor, about)
-                image = replace(image, light=lights[index])
+                image = _write(folder, name, predictions[index], wall, lights[index], predictor, about)
                 if wall is not None:
                     fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
                     image = _with_wall(folder, image, fit, predictor, about)
@@ -249,13 +260,15 @@ def _write(
     name: str,
     one: DepthMap,
     wall: WallSummary | None,
+    light: ExplainedLight | None,
     predictor: Predictor,
     attributes: dict[str, str],
 ) -> PredictedImage:
     """Write depth map, picture and point cloud of one (H, W) prediction."""
     files = [f"{name}.exr", f"{name}.png"]
     one.write(folder / files[0], attributes)
-    write_figure(folder / files[1], prediction_figure(f"{attributes['measurement']}, image {name}", one))
+    title, words = f"{attributes['measurement']}, image {name}", "" if light is None else light.words
+    write_figure(folder / files[1], prediction_figure(title, one, words))
     points_m = object_points(one.radial_depth_m, one.mask, predictor.config.geometry.horizontal_fov_deg)
     median_m = error_m = None
     if len(points_m):
@@ -265,7 +278,7 @@ def _write(
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
     own_m = predictor.expected_mae_m(one)
-    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m, error_m)
+    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m, error_m, light)
 
 
 def _with_wall(

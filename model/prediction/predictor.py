@@ -153,16 +153,24 @@ class Predictor:
         _refuse_not_phasors(z, "the measurement")
 
     def explained_light(
-        self, phasors: ArrayLike, predictions: DepthMap, reference: ArrayLike | None = None
+        self,
+        phasors: ArrayLike,
+        predictions: DepthMap,
+        reference: ArrayLike | None = None,
+        *,
+        fields_of_view_deg: Sequence[float] = (),
     ) -> tuple[ExplainedLight | None, ...]:
         """How much of the hidden light of images (N, H, W, F) their predictions explain.
 
-        None for a network without residual channels. `reference` is that of `predict`, whose errors it has.
+        None for a network without residual channels. The other arguments are those of `predict`, whose errors
+        it has.
         """
-        wall, images = self._wall(reference), np.asarray(phasors)
+        images = np.asarray(phasors)
+        views = [self.at(self.config.geometry.with_fov(fov_deg)) for fov_deg in fields_of_view_deg]
+        walls = [one._wall(None) for one in views] or [self._wall(reference)] * len(images)
         return tuple(
             None if wall is None else explained_light(self.config.inputs, image, wall, predictions[place])
-            for place, image in enumerate(images)
+            for place, (image, wall) in enumerate(zip(images, walls, strict=True))
         )
 
     def _wall(self, reference: ArrayLike | None) -> ExpectedWall | None:

@@ -17,7 +17,8 @@ from itof.arrays import Bools, Floats, Phasors
 from itof.light import phase_per_metre
 from itof.wall.expected_wall import ExpectedWall
 
-_LIT, _SEEN = 300, 1200  # pixels, about, that light the surface, and that it lights: spread over the image
+# Pixels, about, that light the surface, that it lights, and its own: spread over the image.
+_LIT, _SEEN, _OWN = 300, 500, 400
 _STEEPEST: Final = 0.15  # cosine to the ray: steeper pixels are jumps from one surface to another
 
 
@@ -61,16 +62,19 @@ def surface_light(radial_depth_m: Floats, mask: Bools, wall: ExpectedWall) -> Ph
 
 
 def _patches(radial_depth_m: Floats, mask: Bools, rays: Floats) -> tuple[Floats, Floats, Floats]:
-    """Points (P, 3), unit normals towards the camera (P, 3) and areas (P,) of the pixels of a mask."""
+    """Points (P, 3), unit normals towards the camera (P, 3) and areas (P,) of pixels of a mask."""
     place = rays * radial_depth_m[..., None]
     across, down = _differences(place, mask, 1), _differences(place, mask, 0)
     normal = np.cross(across, down)
     area = np.linalg.norm(normal, axis=-1)
-    used = mask & (area > 0)
-    points, normals, area = place[used], normal[used] / area[used][:, None], area[used]
+    used = np.flatnonzero(mask & (area > 0))
+    step = max(1, len(used) // _OWN)
+    used = used[::step]
+    points, area = place.reshape(-1, 3)[used], area.reshape(-1)[used]
+    normals = normal.reshape(-1, 3)[used] / area[:, None]
     normals = normals * -np.sign((normals * points).sum(axis=-1))[:, None]
     straight = (points**2).sum(axis=-1) * np.square(np.linalg.norm(rays[0, 1] - rays[0, 0]))
-    return points, normals, np.minimum(area, straight / _STEEPEST)
+    return points, normals, step * np.minimum(area, straight / _STEEPEST)
 
 
 def _differences(place: Floats, mask: Bools, axis: int) -> Floats:

@@ -265,5 +265,6 @@ def test_the_processes_of_a_training_that_ends_in_one_of_them_end_too(pipeline, 
     # Both lose their weights at once; the slower one may first hear of the other's end.
     other = "Error: another process of this training has ended: see what it printed"
     lost = [line for line in said if line.startswith("Error: the loss became nan in epoch 1, on scenes ")]
-    assert lost and len(lost) + said.count(other) == 2, done.stderr
+    assert lost, done.stderr
+    assert len(lost) + said.count(other) == 2, done.stderr
     assert "defect of NIGHT" not in done.stderr

@@ -30,6 +30,7 @@ def test_the_truth_explains_the_light_of_a_scene_and_no_other_scene_does(scenes)
         light = explained_light(inputs, z, wall, truth)
         # Nine pixels do not show how a sheet is bent.
         assert light.share > (0.6 if truth.mask.sum() < 10 else 0.9)
+        assert not list(light.findings(shows_object=True))
         assert 1e-4 < light.strength < 2e-2
         assert explained_light(inputs, 7e3 * z, wall, truth).share == pytest.approx(light.share, rel=1e-4)
         assert explained_light(inputs, z, wall, other).share < light.share
@@ -49,10 +50,14 @@ def test_without_an_object_nothing_is_explained_and_noise_is_no_light(scenes):
     light = explained_light(inputs, z, wall, nothing)
     assert light.share == 0
     assert light.strength > 1e-4
+    assert [each.refused for each in light.findings(shows_object=False)] == [False]
+    assert [each.refused for each in light.findings(shows_object=True)] == [True]
     grain = noise(z.shape)
     for prediction in (nothing, truth):
         light = explained_light(inputs, wall.direct * (1 + 3e-3 * grain), wall, prediction)
         assert light.share is None
-        assert light.words == "noise hides the hidden light"
+        assert 1e-4 < light.hideable < 3e-3
+        codes = [each.refused for each in light.findings(shows_object=prediction is truth)]
+        assert codes == ([False] if prediction is truth else [])
     noisy = explained_light(inputs, z * (1 + 1e-4 * grain), wall, truth)
     assert noisy.share == pytest.approx(explained_light(inputs, z, wall, truth).share, abs=0.05)
