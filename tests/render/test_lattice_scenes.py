@@ -58,9 +58,7 @@ def test_a_glossy_wall_is_interpolated_with_a_quarter_of_the_wanted_error(varian
         pytest.param(["cone", "cylinder"], id="cone+cylinder"),
     ],
 )
-def test_shapes_are_interpolated_with_a_quarter_of_the_wanted_error(
-    make_dataset, variant, shapes, wanted
-):
+def test_shapes_are_interpolated_with_a_quarter_of_the_wanted_error(make_dataset, variant, shapes, wanted):
     preset = corner._one_scene(shapes, 0.3, int(len(shapes) > 1))
     exposure = exposure_of(load_scene(make_dataset(preset), "000000"), variant, wanted, LARGE)
     assert exposure.field.lattice is not None
