@@ -53,17 +53,12 @@ def test_a_glossy_wall_is_interpolated_with_a_quarter_of_the_wanted_error(varian
 @pytest.mark.parametrize(
     "shapes",
     [
-        *(
-            pytest.param([name], id=name, marks=pytest.mark.thorough)
-            for name in ("sphere", "cube", "cone", "cylinder", "parallelepiped")
-        ),
+        pytest.param(["sphere"], id="sphere", marks=pytest.mark.thorough),
         pytest.param(["concave_plane"], id="concave_plane"),
         pytest.param(["cone", "cylinder"], id="cone+cylinder"),
     ],
 )
-def test_every_class_is_interpolated_with_a_quarter_of_the_wanted_error(
-    make_dataset, variant, shapes, wanted
-):
+def test_shapes_are_interpolated_with_a_quarter_of_the_wanted_error(make_dataset, variant, shapes, wanted):
     preset = corner._one_scene(shapes, 0.3, int(len(shapes) > 1))
     exposure = exposure_of(load_scene(make_dataset(preset), "000000"), variant, wanted, LARGE)
     assert exposure.field.lattice is not None
@@ -94,7 +89,6 @@ def texture(pattern):
     y, x = np.mgrid[:64, :64] / 64
     values = {
         "waves": 0.5 + 0.4 * np.sin(6 * np.pi * x) * np.cos(8 * np.pi * y),
-        "stripes": 0.5 + 0.4 * np.sin(80 * np.pi * x),
         "checks": 0.3 + 0.6 * (((8 * x).astype(int) + (8 * y).astype(int)) % 2),
         "holes": 0.8 * (((2 * x).astype(int) + (2 * y).astype(int)) % 2),  # half of it is black
     }[pattern]
@@ -132,12 +126,9 @@ def wall(kind, pattern):
 @pytest.mark.parametrize(
     ("kind", "pattern"),
     [
-        pytest.param("texture", "waves", marks=pytest.mark.thorough),
-        pytest.param("texture", "stripes", marks=pytest.mark.thorough),
         pytest.param("texture", "checks", marks=pytest.mark.thorough),
         pytest.param("texture", "holes", marks=pytest.mark.long),
         pytest.param("bumps", "waves", marks=pytest.mark.long),
-        pytest.param("bumps", "stripes", marks=pytest.mark.thorough),
         pytest.param("normals", "", marks=pytest.mark.long),
     ],
 )

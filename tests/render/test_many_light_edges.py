@@ -52,9 +52,6 @@ def misses(width, height, fov_deg, wall_half_m):
 @pytest.mark.parametrize(
     ("fov_deg", "size", "wall_half_m"),
     [
-        pytest.param(76, (24, 18), 2, marks=pytest.mark.thorough),
-        pytest.param(80, (64, 48), 3, marks=pytest.mark.thorough),
-        pytest.param(90, (24, 18), 4, marks=pytest.mark.thorough),
         pytest.param(60, (48, 64), 1.2, marks=pytest.mark.long),  # a portrait: it sees over the wall
         (60, (24, 18), 1),
     ],
@@ -179,7 +176,6 @@ def moved_by(metres):
     ("thickness_m", "scaled", "moved_m"),
     [
         (0.02, 1, 0),
-        *(pytest.param(m, 1, 0, marks=pytest.mark.thorough) for m in (0.005, 0.002, 0.001, 0.0001)),
         (0.0005, 1, 0),
         (0.00005, 1, 0),
         (0.0005, 1, 40),  # float32 knows a place 40 m away to 4 um
@@ -221,10 +217,8 @@ def wedge(angle_deg, length_m=0.3):
     "mesh",
     [
         pytest.param(box(), id="cube"),
-        pytest.param(box((0.5, 0.5, 0.002)), id="plate", marks=pytest.mark.thorough),
         pytest.param(plate(0.0005), id="foil"),
         pytest.param(ball(3), id="ball", marks=pytest.mark.thorough),
-        pytest.param(wedge(20), id="wedge", marks=pytest.mark.thorough),
         pytest.param(wedge(5), id="blade"),
         pytest.param(wedge(1), id="razor", marks=pytest.mark.long),
     ],
