@@ -1,8 +1,7 @@
 """A reference for the hidden signal: many more lights, other random numbers, no lattice.
 
-`render_efficiency.py` and `error_coverage.py` measure true errors against it. The reference is computed
-at some pixels of an image only: at the nodes that `many-light` takes in these pixels, or, in random corners,
-at nodes of its own.
+`error_coverage.py` measures true errors against it. It is computed at some pixels of an image only: at the
+nodes that `many-light` takes in these pixels, or, in random corners, at nodes of its own.
 """
 
 from dataclasses import dataclass, replace
