@@ -20,8 +20,8 @@ _CLEARLY = 0.25  # what an explanation leaves of it
 _BREAK = 0.1  # step of a rolled image where the first line is,
 _ALONE = 5.0  # and over the step from its last line to the first, and over the median step
 _LEAST = 1e-3  # of a step
-_SEAM = 2.5e-3  # bend about a wall; hidden light and the edges of walls have up to 1.9e-3
-_OF_MEDIAN = 20.0  # times the median bend; uncalibrated waves have up to 15
+_SEAM = 1e-5  # bend about a wall: less is rounding
+_ABOVE_OTHERS = 3.5  # times the largest bend away from it; 2.4 in images of 320 corners and six cameras
 _WHOLE = 0.5  # of the median weight of a line
 
 
@@ -55,7 +55,8 @@ def seam(fit: RobustFit) -> str:
         mean = (both[..., None] * bend).sum(axis=1) / np.maximum(total, 1e-300)[:, None]
         size = np.sqrt((mean**2).mean(axis=-1)) * (total > _WHOLE * np.median(total))
         place = int(size.argmax())
-        if size[place] > _SEAM and size[place] > _OF_MEDIAN * np.median(size[size > 0]):
+        others = np.delete(size, slice(max(place - 1, 0), place + 2))
+        if size[place] > max(_SEAM, _ABOVE_OTHERS * float(others.max(initial=0))):
             return f"the phases have a seam near {name[:-1]} {place + 1}: shifted or foreign {name}?"
     return ""
 

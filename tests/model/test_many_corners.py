@@ -271,8 +271,9 @@ def test_walls_within_those_of_the_training_are_no_other_corner(corners, run, tm
     assert inputs.largest_shift_m == pytest.approx(max(shifts_m), rel=0.02)
     file = corners.render_folder(corners.ids("train")[int(np.argmax(shifts_m))]) / "itof.exr"
     assert max(shifts_m) > 0.2  # which a network of one corner refuses
-    done = night_here("night-eval", "predict", run, file, "--out", tmp_path / "seen")
+    done = night_here("night-eval", "predict", run, file, "--out", tmp_path / "seen", "--force")
     assert done.returncode == 0, done.stderr
+    assert "warning: the wall" not in done.stderr
     away = {"location_m": [1.0 + 1.7 * max(shifts_m), -1.0, 1.65], "width": 24, "height": 14}
     far = write_synthetic_dataset(tmp_path / "far", count=4, camera=away)
     sentence = refusal(
