@@ -75,12 +75,12 @@ def settings_of(given: argparse.Namespace, **changes: Any) -> RenderSettings:
 
 
 def measured(dataset: Dataset, scene_id: str, settings: RenderSettings, repeats: int) -> dict[str, str]:
-    """Seconds per scene pair, lights, lattice, reported error, peak memory, and size of the files."""
+    """Time of a scene pair, lights, lattice, reported error, peak memory, and size of the files."""
     import drjit as dr
 
     renderer = Renderer(dataset, settings)
     renderer.render(scene_id)
-    times = []
+    times, used = [], time.process_time()
     dr.flush_malloc_cache()
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from here
     with last_field() as field:
@@ -88,11 +88,13 @@ def measured(dataset: Dataset, scene_id: str, settings: RenderSettings, repeats:
             started = time.perf_counter()
             record = renderer.render(scene_id)
             times.append(time.perf_counter() - started)
+    used = (time.process_time() - used) / repeats
     lattice = field[0].lattice
     status = Path("/proc/self/status").read_text()
     peak_kb = int(status.split("VmHWM:")[1].split()[0])
     return {
         "seconds": f"{median(times):.2f}",
+        "CPU seconds": f"{used:.2f}",
         "lights": record.attributes["lights"],
         "lattice": f"{lattice.columns} x {lattice.rows}" if lattice else "none",
         "reported error": f"{float(record.attributes['hidden_error']):.2%}",
@@ -168,11 +170,14 @@ def stages(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) ->
         sizes = [file.bytes for file in record.files.values()]
         rays = occlusion_rays(load_scene(dataset, scene_id))
         count = seconds["pairs"] / given.repeats
+        curves = seconds["curve pairs"] / max(seconds["curve seconds"], 1e-9)
         limits.append(
             {
                 "million pairs of a point and a light or wall point": f"{count / 1e6:.1f}",
                 "bare occlusion rays, million a second": f"{rays / 1e6:.0f}",
                 "as many bare rays as pairs would take, ms": f"{1e3 * count / rays:.1f}",
+                "million pairs for curves over time": f"{seconds['curve pairs'] / given.repeats / 1e6:.1f}",
+                "their rate, million a second": f"{curves / 1e6:.1f}",
                 "as many bytes to the disk (fsync), ms": f"{disk_ms(dataset.root, sizes):.1f}",
             }
         )

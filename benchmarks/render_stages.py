@@ -51,7 +51,10 @@ STAGES: dict[str, tuple[tuple[str, str], ...]] = {
 
 @contextmanager
 def stage_times() -> Iterator[dict[str, float]]:
-    """Seconds of each stage in the block, and what it asked for: ``pairs`` of a point and a light."""
+    """Seconds of each stage in the block, and what it asked for: ``pairs`` of a point and a light.
+
+    Also ``curve pairs`` of a node and a light for time bins, and ``curve seconds``, which count as time bins.
+    """
     clock = _Clock()
     with _patched(
         [
@@ -67,6 +70,7 @@ def stage_times() -> Iterator[dict[str, float]]:
                 lambda function: clock.timed(_FIRST_LATTICE, clock.counting_gather(function)),
             ),
             ((f"{_TRANSPORT}.lights.light_pass", "_arrivals_of"), clock.counting_arrivals),
+            ((f"{_TRANSPORT}.passes.hidden_curves", "_curves_at"), clock.counting_curves),
         ]
     ):
         yield clock.seconds
@@ -133,6 +137,16 @@ class _Clock:
         def counted(scene: Any, points: Any, frequencies_hz: Any, lights: Any) -> Any:
             self.seconds["pairs"] += len(points) * len(lights)
             return function(scene, points, frequencies_hz, lights)
+
+        return counted
+
+    def counting_curves(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(scene: Any, nodes: Any, field: Any, *given: Any) -> Any:
+            self.seconds["curve pairs"] += len(nodes) * len(field.lights)
+            started = time.perf_counter()
+            curves = function(scene, nodes, field, *given)
+            self.seconds["curve seconds"] += time.perf_counter() - started
+            return curves
 
         return counted
 

@@ -45,7 +45,7 @@ class ManyLightOptions:
 
     method: ClassVar[str] = "many-light"
     phasor_parts: ClassVar[int] = 3  # all light, the direct and the hidden part
-    transient_fill: ClassVar[float] = 0.09  # most bins are empty
+    transient_fill: ClassVar[float] = 0.05  # most bins are empty
     has_only_bins: ClassVar[bool] = False
 
     lights: int | None = None

@@ -165,7 +165,7 @@ class TransientReader:
     def __init__(self, path: str | os.PathLike[str], *, advice: str = "") -> None:
         self.path = Path(path)
         self._file = ExrInput(self.path, advice)
-        self.attributes = self._file.texts
+        self.attributes = {name: text for name, text in self._file.texts.items() if name not in _STORED}
         try:
             self.layout, self.bins = self._layout(self._file.structure)
         except ImageFileError:
@@ -181,8 +181,8 @@ class TransientReader:
             )
         try:
             bin_count = int(self.attributes["bin_count"])
-            first = int(self.attributes.get("first_bin", 0))
-            stored = int(self.attributes.get("stored_bins", bin_count))
+            found_bins = zip(_STORED, (0, bin_count), strict=True)
+            first, stored = (int(self._file.texts.get(name, all_)) for name, all_ in found_bins)
             layout = TransientLayout(
                 width=found.width // stored,
                 height=found.height,

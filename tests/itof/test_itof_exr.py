@@ -42,6 +42,20 @@ def test_a_transient_comes_back_bit_for_bit_in_any_blocks(transient_file, cube):
         np.testing.assert_array_equal(reader.read_rows(5, 6), cube[5:6])
 
 
+def test_bins_that_are_not_stored_are_dark(tmp_path, cube):
+    cube[..., :3] = cube[..., 8:] = 0
+    with TransientWriter(tmp_path / "a.exr", LAYOUT, {}, range(3, 8)) as writer:
+        writer.write_rows(cube[..., 3:8])
+    with TransientReader(tmp_path / "a.exr") as reader:
+        assert reader.layout == LAYOUT
+        assert reader.bins == range(3, 8)
+        np.testing.assert_array_equal(np.concatenate(list(reader.row_blocks(3))), cube)
+        z = reader.phasors([20e6, 60e6])
+    np.testing.assert_allclose(z, phasors(cube, [20e6, 60e6], 0.01, start_opl_m=0.3), rtol=1e-12)
+    plain = OpenEXR.InputFile(str(tmp_path / "a.exr")).channel("transient.Y")
+    np.testing.assert_array_equal(np.frombuffer(plain, np.float32).reshape(7, 5, 5), cube[..., 3:8])
+
+
 @pytest.mark.long
 def test_the_largest_transient_that_is_accepted_is_written_and_read_back(tmp_path):
     layout = TransientLayout(width=320, height=209, bin_count=8000, bin_width_m=0.01, start_opl_m=0)

@@ -7,7 +7,7 @@ from many_light_scenes import FREQUENCIES_HZ, ball, box, expose, relative, rough
 from odd_corners import OddCorner
 
 from itof import MeasurementMatrix, TransientLayout
-from render.transport.passes import transient_pass
+from render.transport.passes import hidden_curves, transient_pass
 from render.transport.passes.transient_pass import transient_rows
 
 LAYOUT = TransientLayout(24, 18, 1400, 0.01, 0.0)
@@ -86,6 +86,18 @@ def test_curves_end_at_the_edge_of_the_middle_wall(variant, tmp_path, hidden_bin
     fast, exact = check(hidden_bins, scene, variant)
     dark = exact.sum(axis=2) == 0
     assert not fast[dark].any()
+
+
+def test_bins_hold_few_digits_and_the_whole_signal(variant, tmp_path, hidden_bins, monkeypatch):
+    exposure = expose(OddCorner((ball(),)).load(tmp_path), variant, lights=512, layout=LAYOUT)
+    rounded = hidden_bins(exposure)
+    monkeypatch.setattr(hidden_curves, "_QUANTUM", 2.0**-30)
+    whole = hidden_bins(exposure)
+    assert not np.array_equal(rounded, whole)
+    # 300 bins of a third of the largest one are 100 of it. Each misses 2^-11 / 12^(1/2) of it at random, so
+    # all miss 300^(1/2) times that, which is 2.4e-5 of 100.
+    assert np.all(relative(PHI.apply(rounded), PHI.apply(whole)) < 1e-4)
+    assert rounded.sum() == pytest.approx(whole.sum(), rel=1e-4)
 
 
 def test_no_bin_is_negative_beyond_the_ringing_of_a_spline(variant, tmp_path, hidden_bins):

@@ -112,8 +112,8 @@ def splat_trapezoids(
         light, place = dr.gather(mi.Float64, energy, cell), dr.gather(mi.Float64, middle, cell)
         a, b = dr.gather(mi.Float64, across, cell), dr.gather(mi.Float64, down, cell)
         reach = (a + b) / 2 + 1.5
-        index = mi.Int32(dr.floor(place - reach))
-        last = mi.Int32(dr.floor(place + reach))
+        index = mi.Int32(dr.ceil(place - reach - 0.5))
+        last = mi.Int32(dr.floor(place + reach - 0.5))
         while index <= last:
             off = mi.Float64(index) + 0.5 - place
             part = _twice_integrated(off + (a + b) / 2) - _twice_integrated(off + (a - b) / 2)
@@ -216,7 +216,7 @@ def add_shifted(
     values: mi.Float,
     tap: mi.UInt32,
     weights: list[mi.Float],
-    least: mi.Float,
+    quantum: mi.Float,
     relative: TimeAxis,
     amplitude: mi.Float,
     shift: mi.Float,
@@ -229,8 +229,8 @@ def add_shifted(
 
     A curve is the sum of as many successive curves of `values` as there are `weights`, from the number `tap`
     on. There is one lane for each of `window` bins of each curve; between samples, a curve is linear.
-    `tap`, `weights`, `amplitude`, `shift` and `pixel` belong to the curves. Values up to `least` are no
-    light. Returns what arrived and what was lost, by lane.
+    `tap`, `weights`, `quantum`, `amplitude`, `shift` and `pixel` belong to the curves. Light is rounded to
+    multiples of `quantum`. Returns what arrived and what was lost, by lane.
     """
     lane, size = dr.arange(mi.UInt32, dr.width(amplitude) * window), dr.opaque(mi.UInt32, window)
     curve, step = lane // size, lane % size
@@ -249,7 +249,8 @@ def add_shifted(
             sample = dr.gather(mi.Float, values, first + row * relative.count + mi.UInt32(at), known)
             value += part * dr.gather(mi.Float, weight, curve) * sample
     # splines overshoot a little where the curve is nearly zero; no bin holds negative light
-    value = dr.select(value > least, value, 0) * dr.gather(mi.Float, amplitude, curve)
+    value, grain = value * dr.gather(mi.Float, amplitude, curve), dr.gather(mi.Float, quantum, curve)
+    value = dr.maximum(dr.round(value / grain) * grain, 0)
     inside = (index >= 0) & (index < mi.Int32(axis.count))
     first = dr.gather(mi.UInt32, pixel, curve) * axis.count
     dr.scatter_reduce(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from itof import TransientLayout
 from render.transport.film.pixels import Grid, PixelRule, gauss_rule
 from render.transport.passes.direct_pass import DirectImage, bin_order
-from render.transport.passes.direct_samples import DirectSamples, direct_lanes, sample_direct
+from render.transport.passes.direct_samples import DirectSamples, sample_direct
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -48,6 +48,10 @@ class Cells:
     down: NDArray[np.float64]
     smooth: NDArray[np.bool_]
 
+    def at(self, pixels: NDArray[np.bool_]) -> Cells:
+        """The cells of some of the pixels."""
+        return Cells(*(getattr(self, each.name)[pixels] for each in fields(self)))
+
 
 def cell_rule(width: int) -> PixelRule:
     """Nodes of all cells of a pixel, in an image of this width."""
@@ -78,9 +82,9 @@ def cells_from(energy: NDArray[np.floating], opl_m: NDArray[np.floating], layout
     bent = np.maximum(*(np.ptp(each, axis=(1, 2)) for each in (across, down)))
     dim, bright = (end(e, axis=(1, 2, 3, 4)) for end in (np.min, np.max))
     smooth = known & (((dim > 0) & (bent < _BENT_BINS) & (bright < _UNEVEN * dim)) | (bright == 0))
-    widths = (np.maximum(np.abs(each), _NARROWEST_BINS) for each in (across, down))
-    flat = (each.reshape(len(e), count**2) for each in (total, middle, *widths))
-    return Cells(*flat, smooth)
+    widths = [np.maximum(np.abs(each), _NARROWEST_BINS) for each in (across, down)]
+    total, middle, across, down = (each.reshape(len(e), count**2) for each in (total, middle, *widths))
+    return Cells(total, middle, across, down, smooth)
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,8 @@ class DirectBins:
     Attributes
     ----------
     width : of the image, pixels.
-    cells : of all pixels.
-    by_cells : row-major indices of the pixels with light whose cells count.
+    cells : of the pixels with light where cells are exact enough.
+    by_cells : row-major indices of these pixels.
     samples, energy, pixel : nodes of all other pixels, in the order of these: the direct return there,
         radiance times share of the pixel, and pixel.
     """
@@ -106,10 +110,10 @@ class DirectBins:
     def ends(self, layout: TransientLayout) -> tuple[float, float]:
         """First and last place of the light, in bins from the start of the time axis."""
         cells = self.cells
-        reach = (cells.across + cells.down)[self.by_cells] / 2
+        reach = (cells.across + cells.down) / 2
         place = (self.samples.opl_m[self.energy > 0].astype(float) - layout.start_opl_m) / layout.bin_width_m
-        middle = cells.middle[self.by_cells]
-        low, high = (np.concatenate([each.ravel(), place]) for each in (middle - reach, middle + reach))
+        ends = (cells.middle - reach, cells.middle + reach)
+        low, high = (np.concatenate([each.ravel(), place]) for each in ends)
         return (
             float(low.min(initial=np.inf)) - _REACH_BINS,
             float(high.max(initial=-np.inf)) + _REACH_BINS,
@@ -125,18 +129,18 @@ class DirectBins:
         first_bin : where `axis` begins, in bins from the start of the time axis of the cells.
         """
         first, last = rows[0] * self.width, rows[1] * self.width
-        cells = self.by_cells[slice(*np.searchsorted(self.by_cells, [first, last]))]
+        cells = slice(*np.searchsorted(self.by_cells, [first, last]))
         nodes = slice(*np.searchsorted(self.pixel, [first, last]))
         totals = np.zeros(2)
-        if len(cells):
-            totals += self._add_cells(cells, cells - first, first_bin, axis, bins)
+        if len(self.by_cells[cells]):
+            totals += self._add_cells(cells, self.by_cells[cells] - first, first_bin, axis, bins)
         if len(self.pixel[nodes]):
             totals += self._add_nodes(nodes, self.pixel[nodes] - first, axis, bins)
         return float(totals[0]), float(totals[1])
 
     def _add_cells(
         self,
-        chosen: NDArray[np.int64],
+        chosen: slice,
         pixels: NDArray[np.int64],
         first_bin: int,
         axis: TimeAxis,
@@ -150,7 +154,7 @@ class DirectBins:
         cells = self.cells
         columns = (cells.energy, cells.middle - first_bin, cells.across, cells.down)
         count = dr.opaque(mi.UInt32, cells.energy.shape[1])
-        begin = dr.arange(mi.UInt32, len(chosen)) * count
+        begin = dr.arange(mi.UInt32, len(pixels)) * count
         lost = time_bins.splat_trapezoids(
             *(mi.Float64(each[chosen].ravel()) for each in columns),
             begin,
@@ -187,29 +191,21 @@ def direct_bins(
     scene: mi.Scene, grid: Grid, image: DirectImage, layout: TransientLayout, seed: int
 ) -> DirectBins:
     """The light of all cells, and of nodes where cells are not exact enough."""
-    rule, edges, edge_samples = cell_rule(grid.width), image.edges, image.edge_samples
+    rule, fine = cell_rule(grid.width), gauss_rule(bin_order(grid.width))
+    edges, edge_samples = image.edges, image.edge_samples
     if image.lit is not None:
         edges, edge_samples = image.lit.joined(edges, edge_samples)
-    blocks = [_cells_of_rows(scene, grid, rows, rule, layout, seed) for rows in grid.blocks(rule)]
-    cells = Cells(*(np.concatenate([getattr(each, one.name) for each in blocks]) for one in fields(Cells)))
-    uniform = np.ones(len(cells.smooth), bool)
-    uniform[edges.pixels] = False
-    rough, fine = np.flatnonzero(uniform & ~cells.smooth), gauss_rule(bin_order(grid.width))
-    samples = sample_direct(scene, grid.points(rough, fine.pixel_nodes).reshape(-1, 2), seed)
+    uniform = np.setdiff1d(np.flatnonzero(image.surface.ravel() > 0), edges.pixels)
+    found = sample_direct(scene, grid.points(uniform, rule.pixel_nodes).reshape(-1, 2), seed)
+    energy = found.radiance.reshape(-1, rule.count) * rule.pixel_weights
+    cells = cells_from(energy, found.opl_m.reshape(energy.shape), layout)
+    rough = uniform[~cells.smooth]
+    nodes = sample_direct(scene, grid.points(rough, fine.pixel_nodes).reshape(-1, 2), seed)
     pixel = np.concatenate([np.repeat(rough, fine.count), edges.pixel])
     order = np.argsort(pixel, kind="stable")
-    samples = DirectSamples.joined([samples, edge_samples]).at(order)
+    samples = DirectSamples.joined([nodes, edge_samples]).at(order)
     weights = np.concatenate([np.tile(fine.pixel_weights, len(rough)), edges.weights])[order]
-    by_cells = np.flatnonzero(uniform & cells.smooth & cells.energy.any(axis=1))
-    return DirectBins(grid.width, cells, by_cells, samples, samples.radiance * weights, pixel[order])
-
-
-def _cells_of_rows(
-    scene: mi.Scene, grid: Grid, rows: tuple[int, int], rule: PixelRule, layout: TransientLayout, seed: int
-) -> Cells:
-    import drjit as dr
-
-    radiance, opl, _, weight, _ = direct_lanes(scene, grid, rows, rule, seed)
-    energy = radiance * weight
-    dr.eval(energy, opl)
-    return cells_from(*(np.array(each).reshape(-1, rule.count) for each in (energy, opl)), layout)
+    kept = cells.smooth & cells.energy.any(axis=1)
+    return DirectBins(
+        grid.width, cells.at(kept), uniform[kept], samples, samples.radiance * weights, pixel[order]
+    )

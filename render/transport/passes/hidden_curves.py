@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 _COLUMNS, _FEW_LIGHTS = 20, 1024
 _FINER = 4  # samples of a curve in a bin
 _SLICES = 4  # of the lights at each node, so that all threads are busy
-# Of the largest value: what is smaller is taken as no light. The tails of the splines reach denormal numbers,
-# which some threads round to zero and others do not.
-_LEAST = 1e-7
-_MARGIN = _FINER  # samples around the light, where splines may reach
+# Bins hold multiples of about so much of the largest one in a pixel: 0.01 % of the hidden signal, and half of
+# the bytes of a compressed file. The tails of the splines reach denormal numbers, which some threads round to
+# zero and others do not.
+_QUANTUM = 2.0**-11
+_TINY = 1e-30
+_LEAST, _MARGIN = _QUANTUM / 16, _FINER  # of the largest; samples around the light, where splines may reach
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class HiddenCurves:
     ----------
     coefficients : (rows, columns, S) splines along x through the samples of the curves, which have the spread
         of a bin and are divided by the carrier's amplitude.
-    least : what is not above it is no light.
+    largest : value of the curves.
     valid : (N,) nodes that see `surface`.
     start_m, width_m : start and sample distance of the relative time axis, metres.
     """
@@ -50,7 +52,7 @@ class HiddenCurves:
     centre: NDArray[np.float64]
     lattice: Lattice
     coefficients: NDArray[np.float32]
-    least: float
+    largest: float
     valid: NDArray[np.bool_]
     surface: int
     start_m: float
@@ -83,13 +85,11 @@ class HiddenCurves:
         carriers : amplitude and path, both (P, n), of the carrier at the nodes of `rule`.
         """
         import drjit as dr
-        import mitsuba as mi
 
         from render.transport.kernels import arrays, time_bins
 
         relative = time_bins.TimeAxis(self.coefficients.shape[2], self.width_m, self.start_m)
         window = int(self.length_m * float(axis.per_metre[0])) + 2
-        least = dr.opaque(mi.Float, self.least)
         row, column = pixels // grid.width - rows[0], pixels % grid.width
         uploaded = arrays.upload_indices(pixels - rows[0] * grid.width)
         taps = [self.lattice.taps((np.arange(grid.width) + x) / grid.width) for x in rule.nodes]
@@ -105,7 +105,7 @@ class HiddenCurves:
                 values,
                 arrays.upload_indices(row * self.lattice.shape[1] + tap[column]),
                 [arrays.upload(each[column]) for each in weights.T],
-                least,
+                arrays.upload(2.0 ** np.floor(np.log2(_QUANTUM * self.largest * amplitude * weight + _TINY))),
                 relative,
                 arrays.upload(amplitude * weight),
                 arrays.upload(path_m),
@@ -152,15 +152,15 @@ def make_curves(
     values[chosen] /= amplitude[chosen, None]
     table = filled(values.reshape(*lattice.shape, count), valid.reshape(lattice.shape))
     spread = convolve1d(table, _bin_shape(), axis=2, mode="constant").astype(np.float32)
-    least = _LEAST * float(spread.max())
-    lit = np.flatnonzero((spread > least).any(axis=(0, 1)))
-    first, last = (max(int(lit[0]) - _MARGIN, 0), int(lit[-1]) + 1 + _MARGIN) if len(lit) else (0, 1)
+    largest = float(spread.max())
+    used = np.flatnonzero((spread > _LEAST * largest).any(axis=(0, 1)))
+    first, last = (max(int(used[0]) - _MARGIN, 0), int(used[-1]) + 1 + _MARGIN) if len(used) else (0, 1)
     return HiddenCurves(
         scene,
         field.lights.centre,
         lattice,
         lattice.spline_columns(spread[..., first:last]),
-        least,
+        largest,
         valid,
         field.surface,
         start_m + first * width_m,
