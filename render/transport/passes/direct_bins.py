@@ -83,8 +83,8 @@ def cells_from(energy: NDArray[np.floating], opl_m: NDArray[np.floating], layout
     dim, bright = (end(e, axis=(1, 2, 3, 4)) for end in (np.min, np.max))
     smooth = known & (((dim > 0) & (bent < _BENT_BINS) & (bright < _UNEVEN * dim)) | (bright == 0))
     widths = (np.maximum(np.abs(each), _NARROWEST_BINS) for each in (across, down))
-    flat = (each.reshape(len(e), count**2) for each in (total, middle, *widths))
-    return Cells(*flat, smooth)
+    light, place, a, b = (each.reshape(len(e), count**2) for each in (total, middle, *widths))
+    return Cells(light, place, a, b, smooth)
 
 
 @dataclass(frozen=True)

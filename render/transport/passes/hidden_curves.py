@@ -153,8 +153,10 @@ def make_curves(
     table = filled(values.reshape(*lattice.shape, count), valid.reshape(lattice.shape))
     spread = convolve1d(table, _bin_shape(), axis=2, mode="constant").astype(np.float32)
     largest = float(spread.max())
-    lit = np.flatnonzero((spread > _LEAST * largest).any(axis=(0, 1)))
-    first, last = (max(int(lit[0]) - _MARGIN, 0), int(lit[-1]) + 1 + _MARGIN) if len(lit) else (0, 1)
+    filled_bins = np.flatnonzero((spread > _LEAST * largest).any(axis=(0, 1)))
+    first, last = 0, 1
+    if len(filled_bins):
+        first, last = max(int(filled_bins[0]) - _MARGIN, 0), int(filled_bins[-1]) + 1 + _MARGIN
     return HiddenCurves(
         scene,
         field.lights.centre,

@@ -182,10 +182,10 @@ class _HiddenPart:
         """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
         first, last = rows[0] * self.grid.width, rows[1] * self.grid.width
         totals = []
-        mine = slice(*np.searchsorted(self.smooth, [first, last]))
-        if self.curves is not None and len(self.smooth[mine]):
-            carriers = [each[mine] for each in self.carriers]
-            totals += self.curves.add(self.grid, self.rule, rows, self.smooth[mine], carriers, axis, bins)
+        smooth = slice(*np.searchsorted(self.smooth, [first, last]))
+        if self.curves is not None and len(self.smooth[smooth]):
+            carriers = [each[smooth] for each in self.carriers]
+            totals += self.curves.add(self.grid, self.rule, rows, self.smooth[smooth], carriers, axis, bins)
         exact = self.exact[slice(*np.searchsorted(self.exact, [first, last]))]
         for node, share in zip(self.rule.pixel_nodes, self.rule.pixel_weights, strict=True):
             points = self.grid.points(exact, node[None])[:, 0]
