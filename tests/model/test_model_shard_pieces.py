@@ -166,7 +166,7 @@ def test_another_split_or_camera_and_a_broken_manifest_leave_the_pieces(dataset)
     index["preset"]["camera"]["horizontal_fov_deg"] = 50.0
     (dataset.root / "dataset.json").write_text(json.dumps(index))
     scene = json.loads((dataset.scene_folder("000000") / "scene.json").read_text())
-    scene["camera"]["horizontal_fov_deg"] = 50.0
+    scene["camera"]["horizontal_fov_deg"] = scene["emitter"]["horizontal_fov_deg"] = 50.0
     (dataset.scene_folder("000000") / "scene.json").write_text(json.dumps(scene))
     third = open_shards(open_dataset(dataset.root))
     (dataset.shard_folder / "manifest.json").write_text("{")

@@ -72,8 +72,13 @@ def test_transients_do_not_depend_on_the_size_of_blocks(variant, tmp_path):
     narrow = expose(scene, variant, lights=64, layout=layout)
     blocks = list(narrow.row_blocks())
     assert [len(block) for block in blocks] == [5, 5, 5, 3]
-    # Threads add returns of a bin in any order: float32 rounding of about sqrt(returns) eps.
-    np.testing.assert_allclose(np.concatenate(blocks), whole, rtol=1e-4, atol=1e-9 * whole.max())
+    # Splines over fewer rows are rounded otherwise, in float32, and hidden bins then to multiples of 2^-11 of
+    # about the brightest one of their pixel, which comes later than the direct light.
+    later = np.arange(whole.shape[2]) > whole.argmax(axis=2)[..., None] + 30
+    grain = 2.0**-11 * (whole * later).max(axis=2, keepdims=True)
+    off = np.abs(np.concatenate(blocks) - whole)
+    assert (off <= 1e-4 * whole + 1e-9 * whole.max() + grain).all()
+    assert (off > 1e-4 * whole + 1e-9 * whole.max()).mean() < 1e-3
 
 
 # In a process of its own, as night-render is one: DrJit numbers shapes across all scenes alive in a process.
