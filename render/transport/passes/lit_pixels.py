@@ -58,10 +58,13 @@ def lit_pixels(scene: mi.Scene, grid: Grid, seed: int, divisions: int) -> LitPix
     place, eye = (
         np.array(each.world_transform().matrix)[:3, 3].ravel() for each in (emitters[0], scene.sensors()[0])
     )
-    covers = (at >= -_INSIDE).all() and (at <= 1 + _INSIDE).all()
+    if np.isnan(at).all():
+        return None
+    covers = np.nanmin(at) >= -_INSIDE and np.nanmax(at) <= 1 + _INSIDE
     if np.linalg.norm(place - eye) < _APART and image.min() == image.max() and covers:
         return None
-    steps = max(float(np.abs(np.diff(at, axis=axis)).max()) for axis in (0, 1))  # of a pixel, over the image
+    jumps = [np.abs(np.diff(at, axis=axis)).ravel() for axis in (0, 1)]
+    steps = np.nanmax(np.concatenate([*jumps, [0.0]]))  # of a pixel, over the image
     cells = 2 ** ceil(log2(max(_FEWEST_CELLS, min(_MOST_CELLS, steps * max(image.shape) / 2))))
 
     def lit(points: NDArray[np.float64]) -> NDArray[np.uint32]:
@@ -83,7 +86,10 @@ def _joined(parts: Sequence[EdgePixels]) -> EdgePixels:
 
 
 def _image(scene: mi.Scene, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """The projector's image (H, W), and where in it (h, w, 2) the corners of the camera's pixels are."""
+    """The projector's image (H, W), and where in it (h, w, 2) the corners of the camera's pixels are.
+
+    NaN where a corner shows nothing.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -92,7 +98,9 @@ def _image(scene: mi.Scene, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np
     emitter = scene.emitters()[0]
     sides = [np.linspace(0, 1, count + 1) for count in (grid.width, grid.height)]
     x, y = (arrays.upload(each.ravel()) for each in np.meshgrid(*sides))
-    sample, _ = emitter.sample_direction(rays.camera_hits(scene, x, y), mi.Point2f(0.5))
-    dr.eval(sample.uv)
+    si = rays.camera_hits(scene, x, y)
+    sample, _ = emitter.sample_direction(si, mi.Point2f(0.5))
+    dr.eval(sample.uv, si.t)
     image = np.array(mi.traverse(emitter)["irradiance.data"])
-    return image[..., 0], np.array(sample.uv).T.reshape(grid.height + 1, grid.width + 1, 2).astype(float)
+    at = np.where(np.isfinite(np.array(si.t)), np.array(sample.uv), np.nan)
+    return image[..., 0], at.T.reshape(grid.height + 1, grid.width + 1, 2).astype(float)
