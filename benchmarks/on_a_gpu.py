@@ -227,7 +227,7 @@ def predictions(work: Work, many: Dataset, run: Path) -> list[float]:
     found = []
     for scene_id in many.ids()[:7]:
         phasors, _ = read_image(many.render_folder(scene_id) / "itof.exr").phasors()
-        depths = [network.predict(phasors).depth for network in networks]
+        depths = [network.predict(phasors).radial_depth_m for network in networks]
         found.append(float(np.abs(depths[0] - depths[1]).mean()))
     return found
 

@@ -50,10 +50,8 @@ from batch_quadrature import CubeLight
 
 HZ = (60e6,)
 COPIES = 16  # of a scene in a batch
-REFERENCES = (
-    (0.04, 8),
-    (0.025, 12),
-)  # longest edge of a triangle in metres, a third of the cells of a column
+# Longest edge of a triangle in metres, and a third of the cells of a column.
+REFERENCES = ((0.04, 8), (0.025, 12))
 Image = NDArray[np.complex128]  # (H, W, 1)
 Renderers = dict[str, tuple[Callable[[int], Image], int, int]]  # render(seed), paths per pixel or 0, scenes
 

@@ -1,7 +1,7 @@
 """What makes phasors no image of a scene, whatever it shows: noise, few bits, lines or planes in disorder.
 
-Nothing is known here of walls, except in `fit_defects`. Of valid
-measurements, also of simple cameras, none has such a finding (`benchmarks/foreign_measurements.py`).
+Nothing is known here of walls, except in `fit_defects`. Valid measurements have no such finding
+(`benchmarks/foreign_measurements.py`).
 """
 
 from __future__ import annotations

@@ -24,11 +24,10 @@ from model.prediction.surface_light import surface_light
 
 _WEAK: Final = 2e-3  # of the direct return: as much hidden light as there may be
 _SIGMAS: Final = 5.0  # of the energy of noise: less light tells nothing
-# Of good measurements of new scenes, fewer than one in a hundred has such a finding
-# (benchmarks/foreign_measurements.py).
+# Chosen by benchmarks/foreign_measurements.py: good answers explain more than half where noise is low.
 SHARE_REFUSED: Final = 0.02
 SHARE_NOTED: Final = 0.3
-LEAST_LIGHT: Final = 1e-4  # of the direct return; objects that are seen have more
+LEAST_LIGHT: Final = 1e-4  # of the direct return; scenes of the presets have 3e-4 to 4e-3
 MOST_LIGHT: Final = 0.03
 
 
@@ -60,33 +59,31 @@ class ExplainedLight:
         )
 
     def findings(self, *, shows_object: bool) -> Iterator[Finding]:
-        """What makes an answer with or without an object doubtful."""
-        if self.strength > MOST_LIGHT:
+        """What makes an answer with or without an object doubtful; one that explains nothing is refused."""
+        strength, share, refused = _per_mille(self.strength), self.share, False
+        if share is None:
             words = (
-                f"what is not the wall's light is {_per_mille(self.strength)}, far more than hidden light "
+                f"noise hides the hidden light ({_per_mille(self.hideable)} would be seen), so the object "
             )
-            yield Finding(
-                "unexplained", words + "is: a camera that is not calibrated, or a bright room?", False
-            )
-        elif shows_object and self.share is None:
+            words += "is a guess of the network: average more frames"
+            is_doubtful = shows_object
+        elif self.strength > MOST_LIGHT:
+            words = f"what is not the wall's light is {strength}, far more than hidden light is: a camera "
+            words += "that is not calibrated, a bright room, or parts of several measurements?"
+            is_doubtful, refused = True, shows_object and share < SHARE_REFUSED
+        elif shows_object:
             words = (
-                f"noise hides the hidden light ({_per_mille(self.hideable)} would be seen), so the object is "
+                f"the object that the network shows explains {100 * share:.0f} % of the light that is not "
             )
-            yield Finding("unexplained", words + "a guess of the network: average more frames", False)
-        elif shows_object and self.share is not None and self.share < SHARE_NOTED:
-            words = (
-                f"the object that the network shows explains {100 * self.share:.0f} % of the light that is "
-            )
-            words += "not the wall's: a camera that is not calibrated, another corner, or parts of several "
-            yield Finding("unexplained", words + "measurements?", self.share < SHARE_REFUSED)
-        elif not shows_object and self.share is not None and self.strength > LEAST_LIGHT:
-            words = (
-                f"the network shows no object, but {_per_mille(self.strength)} is not the wall's light: a "
-            )
-            words += (
-                "camera that is not calibrated, another corner, or an object that the network does not know?"
-            )
-            yield Finding("unexplained", words, False)
+            words += "the wall's: a camera that is not calibrated, another corner, or parts of several "
+            words += "measurements?"
+            is_doubtful, refused = share < SHARE_NOTED, share < SHARE_REFUSED
+        else:
+            words = f"the network shows no object, but {strength} is not the wall's light: a camera that is "
+            words += "not calibrated, another corner, or an object that the network does not know?"
+            is_doubtful = self.strength > LEAST_LIGHT
+        if is_doubtful:
+            yield Finding("unexplained", words, refused)
 
 
 def _per_mille(strength: float) -> str:

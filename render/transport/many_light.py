@@ -46,10 +46,8 @@ _REFINED = 1.5  # lights that lack this factor of points get new runs with twice
 _MARGIN = 0.85  # of the wanted error: what the lights are planned for; the rest is for chance
 _FOR_LIGHTS = 0.96  # of the wanted error; a quarter of it for the interpolation makes it whole
 _FOR_NODES = 0.1  # of the wanted error, for the nodes of a pixel
-_FEWEST_LIT, _FINEST_COLUMNS = (
-    8,
-    160,
-)  # nodes with hidden light for its error; columns of the last lattice tried
+_FEWEST_LIT = 8  # nodes with hidden light, which know its error
+_FINEST_COLUMNS = 160  # of the last lattice that is tried for them
 _WIDE_PIXEL = 4e-3  # of the image width; the hidden part of wider pixels takes 2 x 2 nodes instead of one
 
 log = logging.getLogger(__name__)

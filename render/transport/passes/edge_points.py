@@ -81,9 +81,8 @@ class ChosenPoints:
             inverse = np.linalg.pinv(p @ p.transpose(0, 2, 1), rcond=_ALIKE, hermitian=True)
             change = np.einsum("gik,gij,gjf->gkf", p, inverse, lacks[:, :count], optimize=True)
             by_degree = ((start + change) * ratio).sum(axis=1)
-            kept = dark | (
-                np.abs(start + change).sum(axis=1) > most
-            )  # a carrier with steps: the degree before
+            # A carrier with steps keeps the degree before.
+            kept = dark | (np.abs(start + change).sum(axis=1) > most)
             found = [np.where(kept, found[0], found[1]), np.where(kept, found[1], by_degree)]
         return found[0], found[1]
 

@@ -172,9 +172,8 @@ class _HiddenPart:
                 path_m = carrier_paths(self.scene, points, lights.centre)[1] + later_m
                 found += [path_m.min() + lit.min() - reach_m, path_m.max() + lit.max() + reach_m]
         place = (np.array(found) - layout.start_opl_m) / layout.bin_width_m
-        return float(place.min(initial=np.inf)) - _MARGIN_BINS, float(
-            place.max(initial=-np.inf)
-        ) + _MARGIN_BINS
+        low, high = float(place.min(initial=np.inf)), float(place.max(initial=-np.inf))
+        return low - _MARGIN_BINS, high + _MARGIN_BINS
 
     def add(
         self, rows: tuple[int, int], first_bin: int, axis: TimeAxis, bins: mi.Float
