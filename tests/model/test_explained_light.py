@@ -5,7 +5,7 @@ import pytest
 from wall_measurements import expected_wall_of, noise, phasors_of
 
 from itof import DepthMap
-from model.prediction.explained_light import explained_light
+from model.prediction.explained_light import ExplainedLight, explained_light
 from model.prediction.predictor import load
 from scenegen import open_dataset
 
@@ -61,3 +61,14 @@ def test_without_an_object_nothing_is_explained_and_noise_is_no_light(scenes):
         assert codes == ([False] if prediction is truth else [])
     noisy = explained_light(inputs, z * (1 + 1e-4 * grain), wall, truth)
     assert noisy.share == pytest.approx(explained_light(inputs, z, wall, truth).share, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("shows_object", "share", "refused"), [(True, 0.0, True), (True, 0.5, False), (False, 0.0, False)]
+)
+def test_far_too_much_light_is_told_and_an_object_that_explains_none_of_it_is_refused(
+    shows_object, share, refused
+):
+    (finding,) = ExplainedLight(0.05, 1e-5, 1e-5, share).findings(shows_object=shows_object)
+    assert finding.sentence.startswith("what is not the wall's light is 50 per mille of the direct light")
+    assert finding.refused is refused
