@@ -86,9 +86,9 @@ def judged(
     computed = view.direct_phasors(width, height, inputs.frequencies_hz)
     wall = captured_wall(corner, view.expected_wall(computed, inputs.frequencies_hz))
     corner, light = known_corner(dataset.scene(dataset.ids()[0])), CornerLight(inputs.frequencies_hz)
-    found = refined(seen.phasor, prediction, wall, corner, light, Family(sizes_of(dataset)), seed=row)
-    expected_m = predictor.expected_mae_m(prediction)
-    accepted = found is not None and found.is_right(prediction, expected_m, largest_misfit=largest_misfit)
+    expected_m, family = predictor.expected_mae_m(prediction), Family(sizes_of(dataset))
+    found = refined(seen.phasor, prediction, expected_m, wall, corner, light, family, seed=row)
+    accepted = found is not None and found.is_right(expected_m, largest_misfit=largest_misfit)
     return judgement(block, prediction, found.depth_map if found and accepted else prediction, accepted)
 
 

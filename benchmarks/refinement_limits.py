@@ -113,11 +113,10 @@ def judged(
     wall = view.expected_wall(view.direct_phasors(width, height, frequencies_hz), frequencies_hz)
     prediction = predictor.at(view).predict(phasor, wall.direct)
     sizes = sizes_of(dataset, row.size_factor)
-    family = Family(sizes, row.fits_sizes)
-    found = refined(
-        phasor, prediction, wall, known_corner(dataset.scene(dataset.ids()[0])), light, family, seed=place
-    )
-    accepted = found is not None and found.is_right(prediction, predictor.expected_mae_m(prediction))
+    family, expected_m = Family(sizes, row.fits_sizes), predictor.expected_mae_m(prediction)
+    corner = known_corner(dataset.scene(dataset.ids()[0]))
+    found = refined(phasor, prediction, expected_m, wall, corner, light, family, seed=place)
+    accepted = found is not None and found.is_right(expected_m)
     better = found.depth_map if found is not None and accepted else prediction
     return judgement(block, prediction, better, accepted)
 

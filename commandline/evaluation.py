@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -22,14 +22,19 @@ from commandline.options import (
     RESCALE,
     Counts,
     Sensor,
+    option,
 )
 from commandline.results import JSON, tell
 from commandline.streams import say
-from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, UNKNOWNS
+from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS
 from scenegen import load_preset, open_dataset
+
+if TYPE_CHECKING:
+    from model.prediction.prediction_files import FilePrediction
 
 _OF_THE_REPORT = ("scenes", "mask_from", "mask_threshold")
 _OF_THE_CAMERA = ("exposures", "corner_exposures", "each_imperfection", "first")
+_OF_A_DATASET, _OF_A_FILE = "Of a dataset", "Of a file"  # headings of options
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -45,7 +50,7 @@ def night_eval() -> None:
 
     \b
     night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
-    night-eval refine RUN DATASET --out DIR   find the solid that explains each measurement
+    night-eval refine RUN INPUT --out DIR     find the solid that explains each measurement
     night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
     night-eval export RUN --out MODEL.onnx    the network as an ONNX file
     night-eval capture import INPUT ...       measurements of the raw frames of a camera
@@ -123,20 +128,20 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
 
 @night_eval.command("refine", short_help="Find the solid that explains each measurement.")
 @click.argument("run", type=FOLDER)
-@click.argument("dataset", type=FOLDER)
-@click.option("--out", required=True, type=FOLDER, help="Folder to write; a started one is continued.")
-@_split("Scenes to refine.")
+@click.argument("measured", metavar="INPUT", type=FOLDER)
+@click.option("--out", required=True, type=FOLDER, help="Folder to write; one of a dataset is continued.")
 @click.option(
     "--objects",
     metavar="PRESET",
     help="Which solids may be there, of which sizes and reflectance: those of this preset, a name in "
-    "data/presets or a .toml file.  [default: those of the dataset]",
+    "data/presets or a .toml file.  [default: those of the dataset, or all]",
 )
 @click.option(
     "--unknown",
     multiple=True,
     type=click.Choice(UNKNOWNS),
-    help="Fit this, too, instead of taking the preset's; may be repeated.",
+    help="Fit this, too, instead of taking the preset's; may be repeated.  [default: both for a file without "
+    "--objects]",
 )
 @click.option(
     "--largest-misfit",
@@ -145,29 +150,60 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
     show_default=True,
     help="Share of the hidden light that an accepted fit may leave unexplained.",
 )
-@click.option(
-    "--largest-difference",
-    type=float,
-    default=LARGEST_DIFFERENCE,
-    show_default=True,
-    help="Largest mean difference of an accepted fit to the network's depth map, as a multiple of the MAE "
-    "that the network expects. It counts where noise, or light left unexplained, is more than 1 % of the "
-    "hidden light (or than --largest-misfit, if that is less).",
+@option(
+    _OF_A_DATASET,
+    "--split",
+    type=click.Choice(["train", "validation", "test"]),
+    help="Scenes to refine (test).",
 )
-@click.option("--workers", type=COUNT, default=1, show_default=True, help="Processes that share the scenes.")
+@option(_OF_A_DATASET, "--workers", type=COUNT, help="Processes that share the scenes (1).")
+@option(
+    _OF_A_FILE,
+    "--room",
+    metavar="PRESET",
+    help="The corner: places of walls and camera in a preset. Without it, no middle wall hides anything.",
+)
+@FOV
+@RESCALE
+@FORCE
 @DEVICE
 @JSON
-def refine(run: Path, dataset: Path, out: Path, as_json: bool, objects: str | None, **options: Any) -> None:
-    """Refine the depth maps of RUN by rendering, and compare before and after with DATASET.
+def refine(
+    run: Path,
+    measured: Path,
+    out: Path,
+    as_json: bool,
+    objects: str | None,
+    room: str | None,
+    unknown: tuple[Any, ...],
+    **options: Any,
+) -> None:
+    """Find the solid behind each measurement in INPUT, a dataset or a file as of `predict`.
 
-    For each scene, a box, sphere, cylinder, cone or bent sheet is moved until its three-bounce light is the
-    measured one, from where the depth map of the network shows it. Where no solid is accepted, the depth map
-    stays as it is.
+    A box, sphere, cylinder, cone or bent sheet is moved until its three-bounce light is the measured one,
+    from where the depth map of RUN shows the object. Where none is accepted, the depth map stays as it is.
+    Those of a dataset are compared with its ground truth.
     """
     import model
 
+    given = {name: value for name, value in options.items() if value is not None and value is not False}
     preset = None if objects is None else load_preset(objects)
-    report = model.refine_split(run, open_dataset(dataset), out, objects=preset, **options)
+    is_file = not measured.is_dir()
+    wrong = given.keys() & ({"split", "workers"} if is_file else {"horizontal_fov_deg", "rescale", "force"})
+    wrong |= {"room"} if room is not None and not is_file else set()
+    if wrong:
+        names = ", ".join(f"--{'fov' if name == 'horizontal_fov_deg' else name}" for name in sorted(wrong))
+        which = "a dataset" if is_file else "a file with a measurement"
+        raise click.UsageError(f"{names}: for {which}, which {measured} is not; leave it out")
+    if is_file:
+        from itof.capture.record import imported_fov_deg
+
+        given.setdefault("horizontal_fov_deg", imported_fov_deg(measured))
+        corner = None if room is None else load_preset(room)
+        done = model.refine(run, measured, out, room=corner, objects=preset, unknown=unknown or None, **given)
+        _tell_prediction(done, out, as_json)
+        return
+    report = model.refine_split(run, open_dataset(measured), out, objects=preset, unknown=unknown, **given)
     look = f"depth maps and solids in {out / 'scenes'}"
     tell([report.table, report.sentence, look], out.resolve() / "refined.json", as_json)
 
@@ -198,13 +234,16 @@ def predict(
     import model
     from itof.capture.record import imported_fov_deg
 
-    record = out.resolve() / "prediction.json"
     fov_deg = horizontal_fov_deg or imported_fov_deg(measurement)
     done = model.predict_file(run, measurement, out, horizontal_fov_deg=fov_deg, **options)
+    _tell_prediction(done, out, as_json)
+
+
+def _tell_prediction(done: FilePrediction, out: Path, as_json: bool) -> None:
     for warning in done.check.warnings:
         say(f"warning: {warning}")
     where = f"depth maps, pictures and point clouds in {out}"
-    tell([*done.sentences, where], record, as_json)
+    tell([*done.sentences, where], out.resolve() / "prediction.json", as_json)
 
 
 @night_eval.command(short_help="The network as an ONNX file.")

@@ -8,6 +8,7 @@ from .prediction.onnx_export import export_onnx
 from .prediction.prediction_files import predict_file
 from .prediction.predictor import Predictor, load
 from .refinement.judged_refinement import refine_split
+from .refinement.refined_file import refine
 from .run_folder.compact import compact
 from .run_folder.run_config import fine_tuning_settings, run_settings
 from .run_folder.shipped import shipped_runs
@@ -31,6 +32,7 @@ __all__ = [
     "load",
     "merged",
     "predict_file",
+    "refine",
     "refine_split",
     "run_settings",
     "settings_from_dict",

@@ -15,6 +15,7 @@ from disk.own_files import hashes_of, refuse_other_files
 from disk.plain_file import MOST_LIST_BYTES, read_plain
 from disk.quantities import fov_problem
 from itof import DepthMap
+from itof.arrays import Phasors
 from itof.files.measurement_files import Measurement, MeasurementError
 from itof.pictures.figures import prediction_figure, write_figure
 from itof.pictures.pointclouds import object_points, write_point_cloud
@@ -24,6 +25,7 @@ from itof.wall.empty_corner import CapturedPlane
 from itof.wall.wall_fit import RobustFit
 from itof.wall.wall_search import locate_wall
 from model.prediction.explained_light import ExplainedLight
+from model.prediction.explanation import Explanation, RefinedImage, Refiner
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.run_folder.shipped import run_folder
@@ -31,9 +33,9 @@ from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
-# 5 no uncertainty of the wall's distance and angle, and no `light`; 6 no `hideable` light.
-PREDICTION_SCHEMA: Final = 7
-_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6, 7)  # of earlier predictions, which are replaced
+# 5 no uncertainty of the wall's distance and angle, no `light`; 6 no `hideable` light; 7 no `explanation`.
+PREDICTION_SCHEMA: Final = 8
+_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6, 7, 8)  # of earlier predictions, which are replaced
 _SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
 _LEAST_TOLD_M: Final = 1e-3
@@ -58,6 +60,7 @@ class PredictedImage:
     expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
         if it expects none, or without an object.
     light : hidden light, and how much of it the depth map explains; None without residual channels.
+    explanation : the solid that refinement has found; None without refinement, or where there are none.
     """
 
     name: str
@@ -68,12 +71,14 @@ class PredictedImage:
     expected_mae_m: float | None = None
     expected_depth_error_m: float | None = None
     light: ExplainedLight | None = None
+    explanation: Explanation | None = None
 
     @property
     def sentence(self) -> str:
         """The outcome as text."""
         own = "" if self.expected_mae_m is None else f"; expected MAE {_centimetres(self.expected_mae_m)}"
         own += "" if self.light is None else f"; {self.light.words}"
+        own += "" if self.explanation is None else f"; {self.explanation.words}"
         if self.median_radial_depth_m is None:
             return f"image {self.name}: no pixel shows an object, so it has no point cloud{own}"
         return (
@@ -124,6 +129,7 @@ def predict_file(
     force: bool = False,
     device: DeviceName = "auto",
     progress: bool = True,
+    refiner: Refiner | None = None,
 ) -> FilePrediction:
     """Predict every image of a measurement file and write the folder `out`.
 
@@ -144,6 +150,7 @@ def predict_file(
     rescale : as in `Predictor.predict`; None rescales unless the file is in the unit of rendered scenes.
     horizontal_fov_deg : full field of view of the camera, 1 to 170 degrees; None for that of the training.
     force : predict also from a measurement that is not that of the run's relay wall.
+    refiner : finds the solid behind each depth map (`model.refine`).
 
     Raises
     ------
@@ -167,7 +174,7 @@ def predict_file(
     _refuse_implausible(check, measured, run, force)
     wall = None if measured.reference is None else predictor.found_wall(measured.reference)
     with whole_folder(out) as folder:
-        images = _predict_all(predictor, measured, check, chosen, folder, progress)
+        images = _predict_all(predictor, measured, check, chosen, folder, progress, refiner)
         doubts = [
             (finding, image.name)
             for image in images
@@ -226,6 +233,7 @@ def _predict_all(
     rescale: bool,
     folder: Path,
     progress: bool,
+    refiner: Refiner | None,
 ) -> tuple[PredictedImage, ...]:
     """Predict the images batch by batch and write their files."""
     images = []
@@ -241,18 +249,44 @@ def _predict_all(
                 predictions = predictor.predict(batch, measured.reference, rescale=rescale)
             except InputError as error:
                 raise MeasurementError(f"{measured.path}, batch from image {start}: {error}") from None
-            lights = predictor.explained_light(batch, predictions, measured.reference)
             for index in range(len(batch)):
                 name = f"{start + index:06d}"
                 about = attributes | {"image": name}
+                found, own_m = _refined(predictor, predictions[index], batch[index], measured, refiner, name)
+                one = found.depth_map
+                (light,) = predictor.explained_light(batch[index][None], [one], measured.reference)
                 wall = check.walls[start + index]
-                image = _write(folder, name, predictions[index], wall, lights[index], predictor, about)
+                image = _write(folder, name, one, wall, light, predictor, about)
+                image = replace(image, expected_mae_m=own_m)
+                if found.picture is not None:
+                    image = replace(image, files=(*image.files, f"{name}_light.png"))
+                    write_figure(folder / image.files[-1], found.picture)
+                image = replace(image, explanation=found.explanation)
                 if wall is not None:
                     fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
                     image = _with_wall(folder, image, fit, predictor, about)
                 images.append(image)
                 bar.update()
     return tuple(images)
+
+
+def _refined(
+    predictor: Predictor,
+    prediction: DepthMap,
+    phasor: Phasors,
+    measured: Measurement,
+    refiner: Refiner | None,
+    name: str,
+) -> tuple[RefinedImage, float | None]:
+    """The depth map of an image (H, W, F) to write, and the MAE that is expected of it, metres."""
+    expected_m = predictor.expected_mae_m(prediction)
+    wall = None if refiner is None else predictor.wall_of(measured.reference)
+    if refiner is None or wall is None:
+        return RefinedImage(prediction, None, None), expected_m
+    found = refiner(phasor, prediction, expected_m, wall, f"{measured.path.name}, image {name}")
+    if found.explanation is not None and found.explanation.accepted:
+        expected_m = found.explanation.expected_mae_m
+    return found, expected_m
 
 
 def _write(
@@ -277,8 +311,7 @@ def _write(
         files.append(f"{name}.ply")
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
-    own_m = predictor.expected_mae_m(one)
-    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, own_m, error_m, light)
+    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, None, error_m, light)
 
 
 def _with_wall(

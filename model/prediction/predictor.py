@@ -123,7 +123,7 @@ class Predictor:
         images = z if z.ndim == 4 else z[None]
         if views:
             self._refuse_fields_of_view(views, len(images), reference)
-        wall = None if views else self._wall(reference)
+        wall = None if views else self.wall_of(reference)
         if rescale:
             images = images * self._gain(images)
         parts = [
@@ -155,7 +155,7 @@ class Predictor:
     def explained_light(
         self,
         phasors: ArrayLike,
-        predictions: DepthMap,
+        predictions: DepthMap | Sequence[DepthMap],
         reference: ArrayLike | None = None,
         *,
         fields_of_view_deg: Sequence[float] = (),
@@ -167,13 +167,13 @@ class Predictor:
         """
         images = np.asarray(phasors)
         views = [self.at(self.config.geometry.with_fov(fov_deg)) for fov_deg in fields_of_view_deg]
-        walls = [one._wall(None) for one in views] or [self._wall(reference)] * len(images)
+        walls = [one.wall_of(None) for one in views] or [self.wall_of(reference)] * len(images)
         return tuple(
             None if wall is None else explained_light(self.config.inputs, image, wall, predictions[place])
             for place, (image, wall) in enumerate(zip(images, walls, strict=True))
         )
 
-    def _wall(self, reference: ArrayLike | None) -> ExpectedWall | None:
+    def wall_of(self, reference: ArrayLike | None) -> ExpectedWall | None:
         """The wall with the reference to use; None if the channels need none, so that it is not computed."""
         inputs = self.config.inputs
         if reference is None:
@@ -223,7 +223,7 @@ class Predictor:
         """Channels of images with a field of view each."""
         seen = [self.at(self.config.geometry.with_fov(fov_deg)) for fov_deg in fields_of_view_deg]
         pairs = zip(seen, images, strict=True)
-        return np.concatenate([one._channels(image[None], one._wall(None)) for one, image in pairs])
+        return np.concatenate([one._channels(image[None], one.wall_of(None)) for one, image in pairs])
 
     def _channels(self, images: NDArray[np.generic], wall: ExpectedWall | None) -> NDArray[np.float32]:
         with np.errstate(over="ignore", invalid="ignore"):  # the check below finds overflows

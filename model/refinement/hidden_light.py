@@ -7,7 +7,6 @@ with them. The same dimensions are taken out of the light of a model, so that bo
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -40,7 +39,9 @@ class HiddenLight:
     weight : (P,) of the blocks: the inverse standard deviation of errors, in any unit. Those of the model are
         taken to fall with the wall's brightness; noise adds to them.
     slope : (F,) phase of the direct light by the wall's distance, rad/m.
+    amplitude : (P,) of the light at the first frequency, in any unit.
     noise : root mean square of the noise in a component of `relative` times `weight`, estimated.
+    where : (R, C) which blocks of the image these are.
     """
 
     relative: NDArray[np.complex128]
@@ -48,7 +49,9 @@ class HiddenLight:
     plane_per_m: NDArray[np.float64]
     weight: NDArray[np.float64]
     slope: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
     noise: float
+    where: NDArray[np.bool_]
 
     @classmethod
     def of(
@@ -78,10 +81,10 @@ class HiddenLight:
         strength = np.abs(wall.direct[..., :1]) * safe
         strength = strength / np.nanmax(strength, initial=np.finfo(float).tiny)
         size = max(1, phasor.shape[0] // _ROWS[fine])
-        amplitude = np.abs(phasor[..., 0]) * safe[..., 0]
-        noise = pixel_noise(relative.imag, amplitude)[..., None] * _gain_of_noise(size)
-        parts = (relative, wall.rays * safe, strength, noise)
-        relative, rays, weight, noise = (_blocks(each, size) for each in parts)
+        amplitude = np.abs(phasor[..., :1]) * safe
+        noise = pixel_noise(relative.imag, amplitude[..., 0])[..., None] * _gain_of_noise(size)
+        parts = (relative, wall.rays * safe, strength, noise, amplitude)
+        relative, rays, weight, noise, amplitude = (_blocks(each, size) for each in parts)
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         plane = np.asarray(found.plane_per_m)
         good = np.isfinite(relative).all(1) & (rays @ plane > _LEAST_PER_M)
@@ -90,7 +93,8 @@ class HiddenLight:
         relative, rays, weight, noise = relative[good], rays[good], weight[good, 0], noise[good, 0]
         weight = weight / np.sqrt(1 + (noise * weight / _error_of_model(relative.imag, weight)) ** 2)
         noisy = float(np.sqrt(((noise * weight) ** 2).mean()))
-        light = cls(relative, rays, plane, weight, np.asarray(wall.slope), noisy)
+        bright, where = amplitude[good, 0], good.reshape([side // size for side in phasor.shape[:2]])
+        light = cls(relative, rays, plane, weight, np.asarray(wall.slope), bright, noisy, where)
         return light if light.values.any() else None
 
     def with_wall_behind(self, hidden: NDArray[np.complex128]) -> HiddenLight:
@@ -163,7 +167,7 @@ def _error_of_model(phases: NDArray[np.float64], weight: NDArray[np.float64]) ->
 def _blocks(image: NDArray[Any], size: int) -> NDArray[Any]:
     """(P, C) values of an image (H, W, C) in the middles of square blocks of `size` pixels, from their means.
 
-    Pixels that are NaN are left out. A mean differs from the value in the middle by 1/24 of the second
+    A block with a pixel that is NaN is NaN. A mean differs from the value in the middle by 1/24 of the second
     differences between blocks.
     """
     height, width, channels = image.shape
@@ -171,10 +175,8 @@ def _blocks(image: NDArray[Any], size: int) -> NDArray[Any]:
     top, left = (height - rows * size) // 2, (width - columns * size) // 2
     cut = image[top : top + rows * size, left : left + columns * size]
     parts = np.moveaxis(cut.reshape(rows, size, columns, size, channels), 2, 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a block without any light is NaN
-        blocks: NDArray[Any] = np.nanmean(parts.reshape(rows, columns, size**2, channels), axis=2)
-    if size > 1 and min(rows, columns) > 2 and np.isfinite(blocks).all():
+    blocks: NDArray[Any] = parts.reshape(rows, columns, size**2, channels).mean(axis=2)
+    if size > 1 and min(rows, columns) > 2:
         blocks = blocks - _sharpening(size) * sum(_second_differences(blocks, axis) for axis in (0, 1))
     return blocks.reshape(-1, channels)
 
@@ -191,6 +193,12 @@ def _gain_of_noise(size: int) -> float:
 
 
 def _second_differences(values: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Along an axis; at both ends those of the neighbours."""
-    inner = np.diff(values, 2, axis=axis)
-    return np.concatenate([inner.take([0], axis), inner, inner.take([-1], axis)], axis=axis)
+    """Of (R, C, ...) along an axis; at both ends, and beside NaN, those of the nearest neighbour with any."""
+    inner = np.moveaxis(np.diff(values, 2, axis=axis), axis, 0)  # (n, m, ...)
+    known = np.isfinite(inner).reshape(*inner.shape[:2], -1).all(axis=-1)
+    place = np.arange(len(inner))[:, None, None]
+    away = np.where(known.T[None], np.abs(place - place.T), np.iinfo(int).max)  # (n, m, n)
+    nearest = away.argmin(axis=2)
+    found = inner[nearest, np.arange(inner.shape[1])]
+    found[:, ~known.any(axis=0)] = 0
+    return np.moveaxis(np.concatenate([found[:1], found, found[-1:]]), 0, axis)

@@ -23,19 +23,20 @@ from model.judging.refusals import (
     refuse_other_images,
 )
 from model.prediction.predictor import load
+from model.refinement.family import family_of
 from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport
 from model.refinement.refining import Family
-from model.refinement.settings import LARGEST_DIFFERENCE, LARGEST_MISFIT, Unknown
+from model.refinement.settings import LARGEST_MISFIT, Unknown
 from model.refinement.work import SCENES_FOLDER, Job, Recipe, read_result, worked
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import Dataset, Preset, Split
-from scenegen.shapes import PRIMITIVES
 
 RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
 TABLE_FILE, FIGURE_FILE = "refined.csv", "refined.png"
+_OF_FOUND = ("misfit", "noise", "difference_m")  # columns of the table
 
 
 def refine_split(
@@ -47,7 +48,6 @@ def refine_split(
     objects: Preset | None = None,
     unknown: Sequence[Unknown] = (),
     largest_misfit: float = LARGEST_MISFIT,
-    largest_difference: float = LARGEST_DIFFERENCE,
     workers: int = 1,
     device: DeviceName = "auto",
     progress: bool = True,
@@ -63,7 +63,7 @@ def refine_split(
     objects : a preset with the shapes, extents and reflectance of what may be there; None for that of the
         dataset. A dataset of measurements (`render.write_pairs`) has none.
     unknown : what of the object is fitted, too: its extents (from those of `objects`), its reflectance.
-    largest_misfit, largest_difference : what is accepted; see `model.refinement.refining.Refined.is_right`.
+    largest_misfit : what is accepted; see `model.refinement.refining.Refined.is_right`.
     workers : number of processes; the results do not depend on it.
 
     Raises
@@ -75,9 +75,8 @@ def refine_split(
     """
     if workers < 1:
         raise EvaluationError(f"the number of workers is at least 1, got {workers}")
-    for name, value in (("misfit", largest_misfit), ("difference", largest_difference)):
-        if not (math.isfinite(value) and value > 0):
-            raise EvaluationError(f"the largest {name} is a number above 0, got {value:g}")
+    if not (math.isfinite(largest_misfit) and largest_misfit > 0):
+        raise EvaluationError(f"the largest misfit is a number above 0, got {largest_misfit:g}")
     run, out = run_folder(run), Path(out).resolve()
     refuse_missing_split(dataset, split)
     fitted = tuple(sorted(set(unknown)))
@@ -98,7 +97,6 @@ def refine_split(
         family.reflectance,
         fitted,
         largest_misfit,
-        largest_difference,
     )
     _prepare(out, recipe)
     job = Job(run, dataset.root, device, family, recipe, out)
@@ -124,15 +122,7 @@ def _family(dataset: Dataset, objects: Preset | None, fitted: Sequence[Unknown])
             f"{dataset.root} holds measurements and does not say what may be there: give a preset with the "
             "shapes and sizes, --objects PRESET"
         )
-    hidden = (dataset.preset if objects is None else objects).hidden_object
-    known = {shape: hidden.size_m.of(shape) for shape in hidden.shapes if shape in PRIMITIVES}
-    if not known:
-        raise EvaluationError(
-            f"{dataset.root if objects is None else 'the preset of the objects'} has none of the shapes that "
-            f"can be fitted: {', '.join(PRIMITIVES)}"
-        )
-    is_known = "reflectance" not in fitted and hidden.least_reflectance is None
-    return Family(known, "sizes" in fitted, hidden.reflectance if is_known else None)
+    return family_of(dataset.preset if objects is None else objects, fitted)
 
 
 def _prepare(out: Path, recipe: Recipe) -> None:
@@ -165,10 +155,8 @@ def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
         {
             "scene": scene.scene,
             "object_class": scene.object_class,
-            "shape": scene.solid.shape if scene.solid else "",
-            "misfit": scene.misfit,
-            "noise": scene.noise,
-            "difference_m": scene.difference_m,
+            "shape": scene.found.solid.shape if scene.found else "",
+            **{name: getattr(scene.found, name, None) for name in _OF_FOUND},
             "expected_mae_m": scene.expected_mae_m,
             "accepted": scene.accepted,
             **{f"network_{key}": value for key, value in asdict(scene.network).items()},

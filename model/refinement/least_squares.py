@@ -1,6 +1,7 @@
 """Moves objects until their hidden light is that of a measurement: Levenberg and Marquardt's method.
 
-The derivatives are differences, because visibility has no derivatives of its own. Many fits go side by side,
+The derivatives are central differences, because visibility has no derivatives of its own, and because
+one-sided ones end a fit in a long valley, as of size and reflectance. Many fits go side by side,
 because the engine computes the light of many candidates for little more than that of one.
 
 Source: Marquardt 1963, with the damping of each unknown in proportion to its own curvature.
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.refinement.hidden_light import HiddenLight
-from model.refinement.light.corner_light import CornerLight, with_wall_at
+from model.refinement.light.corner_light import CornerLight, with_camera_at, with_wall_at
 from model.refinement.unknowns import Unknown, changed, unknowns
-from scenegen.scene import Scene, Wall
+from model.refinement.wall_brightness import walls_as_bright
+from scenegen.scene import Scene
 
 Floats = NDArray[np.float64]
 _DAMPING, _MORE, _LESS, _LEAST_DAMPING = 1e-2, 4.0, 0.2, 1e-5
@@ -35,11 +37,13 @@ class Comparison:
 
     Attributes
     ----------
-    corner : known, whose relay wall is moved; its hidden objects do not matter.
+    corner : known, but for the plane of its relay wall; its hidden objects do not matter.
     light : of the corner.
     fine : for an error of 1 % and not 3 %.
     reflectance : of the objects, over that of the candidates'; None: the one that explains most of the light,
         for each candidate.
+    knows_camera : whether it is the relay wall that is moved, not the camera, so that the camera sees it
+        where the measurement shows it.
     """
 
     observed: HiddenLight
@@ -47,16 +51,18 @@ class Comparison:
     light: CornerLight
     fine: bool
     reflectance: float | None = 1.0
+    knows_camera: bool = True
 
     def placed(self, candidate: Scene) -> Scene:
-        """The candidate with its relay wall where the measurement shows it."""
-        place = self._place
-        wall = replace(candidate.relay_wall, location_m=place.location_m, rotation_deg=place.rotation_deg)
-        return replace(candidate, relay_wall=wall)
+        """The candidate with its relay wall where the measurement shows it from its camera."""
+        wall, camera = self._place.relay_wall, self._place.camera
+        wall = replace(candidate.relay_wall, location_m=wall.location_m, rotation_deg=wall.rotation_deg)
+        return replace(candidate, relay_wall=wall, camera=camera)
 
     @cached_property
-    def _place(self) -> Wall:
-        return with_wall_at(self.corner, self.observed.plane_per_m).relay_wall
+    def _place(self) -> Scene:
+        placed = with_wall_at if self.knows_camera else with_camera_at
+        return placed(self.corner, self.observed.plane_per_m)
 
     def misfits(self, candidates: Sequence[Scene]) -> list[Floats]:
         """(M,) values of each candidate less those of the measurement."""
@@ -66,9 +72,13 @@ class Comparison:
         """Reflectance of the objects: the known one, or the one that explains most."""
         return _hidden([(self, candidate)])[0][1]
 
-    def with_wall_behind(self, candidate: Scene) -> Comparison:
-        """With the relay wall where the measurement shows it once the light of a candidate is taken out."""
-        return replace(self, observed=self.observed.with_wall_behind(_hidden([(self, candidate)])[0][0]))
+    def behind(self, candidate: Scene) -> tuple[Comparison, Scene]:
+        """With the relay wall that the measurement shows once the light of a candidate is taken out."""
+        hidden = _hidden([(self, candidate)])[0][0]
+        moved = replace(self, observed=self.observed.with_wall_behind(hidden))
+        amplitude = self.observed.amplitude / np.abs(1 + hidden[:, 0])
+        (wall,) = walls_as_bright([moved.placed(candidate)], self.observed.rays, amplitude, self.light)
+        return moved, replace(candidate, relay_wall=wall)
 
     def unexplained(self, misfit: Floats) -> float:
         """Like `relative`, of the part of a misfit that is not noise."""
@@ -196,18 +206,26 @@ def _step(fits: Sequence[_Going], roughness: bool, sizes: bool, enough: float) -
                 break
 
 
+def jacobians(fits: Sequence[Fit], *, roughness: bool, sizes: bool) -> list[tuple[Sequence[Unknown], Floats]]:
+    """The unknowns of each fit, and (M, U) the derivatives of its values by them."""
+    misfit = misfits([(fit.comparison, fit.candidate) for fit in fits])
+    going = [_Going(fit.comparison, fit.candidate, each) for fit, each in zip(fits, misfit, strict=True)]
+    return _jacobians(going, roughness, sizes)
+
+
 def _jacobians(
     fits: Sequence[_Going], roughness: bool, sizes: bool
 ) -> list[tuple[Sequence[Unknown], Floats]]:
-    """The unknowns of each fit, and (M, U) the derivatives of its values by them."""
-    numbers = [unknowns(fit.candidate, roughness, sizes) for fit in fits]
+    """The unknowns of each fit, and (M, U) the derivatives of its values by them: central differences."""
+    numbers = [unknowns(fit.candidate, roughness, sizes, fit.comparison.fine) for fit in fits]
     moved = [
-        (fit.comparison, changed(fit.candidate, [each], np.array([each.step])))
+        (fit.comparison, changed(fit.candidate, [each], np.array([step])))
         for fit, own in zip(fits, numbers, strict=True)
         for each in own
+        for step in each.steps
     ]
     found = iter(misfits(moved))
     return [
-        (own, np.stack([(next(found) - fit.misfit) / each.step for each in own], axis=1))
-        for fit, own in zip(fits, numbers, strict=True)
+        (own, np.stack([(next(found) - next(found)) / np.ptp(each.steps) for each in own], axis=1))
+        for own in numbers
     ]

@@ -9,20 +9,10 @@ from typing import Any
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from disk.contract import STRICT
-from disk.quantities import Vector
 from model.network.metrics import ImageMetrics, summarise, summary_cells
+from model.prediction.explanation import Explanation
 
 _UNEXPLAINED = 0.2  # of the light, by most solids
-
-
-@checked_dataclass(frozen=True, config=STRICT)
-class FoundSolid:
-    """A fitted solid in world axes, as ``scene.json`` describes hidden objects."""
-
-    shape: str
-    size_m: Vector
-    location_m: Vector
-    rotation_deg: Vector
 
 
 @checked_dataclass(frozen=True, config=STRICT)
@@ -47,26 +37,21 @@ class RefinedScene:
     ----------
     network, refined : metrics of the network's depth map and of the refined one, which is the network's where
         the fit is not accepted.
-    solid : the fitted solid, accepted or not; None if the network sees no object.
-    misfit : part of the hidden light that the solid does not explain.
-    noise : of the measurement, as part of the hidden light.
-    difference_m : of the solid's depth map and the network's, mean over all pixels, metres.
     expected_mae_m : error that the network expects of its depth map, metres; None without probabilities.
-    reflectance, roughness : of the solid and of the relay wall, fitted or known.
+    found : what explains the light, accepted or not; None if the network sees no object.
     """
 
     scene: str
     object_class: str
     network: SceneNumbers
     refined: SceneNumbers
-    accepted: bool
-    misfit: float | None
-    noise: float | None
-    difference_m: float | None
     expected_mae_m: float | None
-    solid: FoundSolid | None
-    reflectance: float | None
-    roughness: float | None
+    found: Explanation | None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the refined depth map is that of the solids."""
+        return self.found is not None and self.found.accepted
 
 
 @dataclass(frozen=True)
@@ -97,7 +82,7 @@ class RefinementReport:
         """How many fits were accepted, and whether the corner may be another one."""
         accepted = sum(scene.accepted for scene in self.scenes)
         said = f"{accepted} of {len(self.scenes)} solids are accepted; the other depth maps are the network's"
-        misfits = [scene.misfit for scene in self.scenes if scene.misfit is not None]
+        misfits = [scene.found.misfit for scene in self.scenes if scene.found is not None]
         if misfits and (usual := median(misfits)) > _UNEXPLAINED:
             said += f"; solids leave {usual:.0%} of the light: is the middle wall where the dataset has it?"
         return said
@@ -106,7 +91,7 @@ class RefinementReport:
         """All numbers as plain data."""
         before, after = ([getattr(s, part).metrics() for s in self.scenes] for part in ("network", "refined"))
         return {
-            "schema_version": 2,
+            "schema_version": 3,
             "scene_count": len(self.scenes),
             "accepted_count": sum(scene.accepted for scene in self.scenes),
             "network": asdict(summarise(before)),

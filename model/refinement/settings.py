@@ -7,4 +7,3 @@ from typing import Final, Literal
 Unknown = Literal["sizes", "reflectance"]  # what of the object may be fitted besides its pose
 UNKNOWNS: tuple[Unknown, ...] = ("sizes", "reflectance")
 LARGEST_MISFIT: Final = 0.01  # of the comparable hidden light may stay unexplained
-LARGEST_DIFFERENCE: Final = 2.0  # to a network's depth map, over the error that it expects, under noise

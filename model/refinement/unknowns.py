@@ -18,37 +18,52 @@ from scenegen.shapes import Shape
 
 Floats = NDArray[np.float64]
 ROUGHNESS: Final = (0.05, 1.0)  # smallest and largest of a relay wall
-_STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 5e-3, 0.0125, 1e-2, 2e-2  # of the differences
+_STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 1e-2, 0.025, 2e-2, 2e-2  # of the differences
+_WIDER: Final = 3.0  # with few nodes: shadows move from node to node, and light changes in steps
 _FARTHEST_M, _FARTHEST_RAD, _FARTHEST_SIZE, _FARTHEST_ROUGHNESS = 0.15, 0.5, 0.2, 0.3  # of one step
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number: of which object, of which kind, and which of its kind; `step` is that of a difference."""
+    """One number: of which object, of which kind, and which of its kind.
+
+    `steps` are the two changes whose difference gives the derivative, the larger one first.
+    """
 
     part: int
     kind: str
     place: int
-    step: float
+    steps: tuple[float, float]
+
+    @classmethod
+    def about(cls, part: int, kind: str, place: int, step: float) -> Unknown:
+        """With a step either way."""
+        return cls(part, kind, place, (step, -step))
 
 
-def unknowns(candidate: Scene, roughness: bool, sizes: bool) -> list[Unknown]:
-    """The unknowns of a candidate, with the roughness of its relay wall and the extents of its objects."""
-    return list(_unknowns(candidate, roughness, sizes))
+def unknowns(candidate: Scene, roughness: bool, sizes: bool, fine: bool) -> list[Unknown]:
+    """The unknowns of a candidate, with the roughness of its relay wall and the extents of its objects.
+
+    `fine` : whether the light is computed with many nodes.
+    """
+    return list(_unknowns(candidate, roughness, sizes, 1.0 if fine else _WIDER))
 
 
-def _unknowns(candidate: Scene, roughness: bool, sizes: bool) -> Iterator[Unknown]:
+def _unknowns(candidate: Scene, roughness: bool, sizes: bool, wider: float) -> Iterator[Unknown]:
     for index, part in enumerate(candidate.hidden_objects):
-        yield from (Unknown(index, "place", axis, _STEP_M) for axis in range(3))
+        yield from (Unknown.about(index, "place", axis, wider * _STEP_M) for axis in range(3))
         if part.shape != "sphere":
-            yield from (Unknown(index, "turn", axis, _STEP_RAD) for axis in range(3))
+            yield from (Unknown.about(index, "turn", axis, wider * _STEP_RAD) for axis in range(3))
         if sizes:
             yield from (
-                Unknown(index, "size", axis, _STEP_SIZE) for axis in range(len(stretches(part.shape)))
+                Unknown.about(index, "size", axis, wider * _STEP_SIZE)
+                for axis in range(len(stretches(part.shape)))
             )
     now = candidate.relay_wall.roughness
     if roughness and now is not None:
-        yield Unknown(0, "roughness", 0, _STEP_ROUGHNESS if now < sum(ROUGHNESS) / 2 else -_STEP_ROUGHNESS)
+        least, most = (limit - now for limit in ROUGHNESS)
+        more = min(max(_STEP_ROUGHNESS, least + 2 * _STEP_ROUGHNESS), most)
+        yield Unknown(0, "roughness", 0, (more, more - 2 * _STEP_ROUGHNESS))
 
 
 def changed(candidate: Scene, numbers: Sequence[Unknown], change: Floats) -> Scene:

@@ -27,9 +27,10 @@ from model.judging.judging import Bench
 from model.judging.refusals import EvaluationError
 from model.network.metrics import ImageMetrics, image_metrics
 from model.prediction.predictor import Predictor, load
+from model.refinement.explaining import explained
 from model.refinement.light.corner_light import CornerLight, known_corner
-from model.refinement.refined_result import FoundSolid, RefinedScene, SceneNumbers
-from model.refinement.refining import Family, Refined, refined
+from model.refinement.refined_result import RefinedScene, SceneNumbers
+from model.refinement.refining import Family, refined
 from model.refinement.settings import Unknown
 from model.run_folder.run_config import Sha256
 from model.settings.run import DeviceName
@@ -58,8 +59,7 @@ class Recipe:
     reflectance: float | None
     unknown: tuple[Unknown, ...]
     largest_misfit: float
-    largest_difference: float
-    schema_version: Literal[4] = 4
+    schema_version: Literal[5] = 5
 
 
 @dataclass(frozen=True)
@@ -85,31 +85,22 @@ class Work:
         phasor = block.phasors[0][..., used]
         entry = bench.dataset.scene(scene)
         corner = known_corner(entry)
+        expected_m, wall = bench.predictor.expected_mae_m(prediction), self._wall(corner, used)
         found = refined(
-            *(phasor, prediction, self._wall(corner, used), corner, self.light, self.family), seed=entry.seed
+            *(phasor, prediction, expected_m, wall, corner, self.light, self.family), seed=entry.seed
         )
-        expected_m = bench.predictor.expected_mae_m(prediction)
-        accepted = found is not None and found.is_right(
-            prediction,
-            expected_m,
-            largest_misfit=self.recipe.largest_misfit,
-            largest_difference=self.recipe.largest_difference,
-        )
-        better = found.depth_map if found is not None and accepted else prediction
+        explanation = None
+        if found is not None:
+            explanation = explained(found, prediction, expected_m, self.recipe.largest_misfit)
+        better = found.depth_map if found and explanation and explanation.accepted else prediction
         truth = block.radial_depth_m[0], block.mask[0]
         result = RefinedScene(
             scene,
             entry.object_class,
             _numbers(image_metrics(prediction.radial_depth_m, prediction.mask, *truth)),
             _numbers(image_metrics(better.radial_depth_m, better.mask, *truth)),
-            accepted,
-            None if found is None else found.misfit,
-            None if found is None else found.noise,
-            None if found is None else found.difference_m(prediction),
             expected_m,
-            None if found is None else _found_solid(found),
-            None if found is None else found.reflectance,
-            None if found is None else found.roughness,
+            explanation,
         )
         self._write(result, better)
         return result
@@ -241,8 +232,3 @@ def read_result(out: Path, scene: str) -> RefinedScene | None:
 
 def _numbers(metrics: ImageMetrics) -> SceneNumbers:
     return SceneNumbers(**asdict(metrics))
-
-
-def _found_solid(found: Refined) -> FoundSolid:
-    solid = found.solid
-    return FoundSolid(solid.shape, solid.size_m, solid.location_m, solid.rotation_deg)

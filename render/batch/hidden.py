@@ -195,6 +195,20 @@ def ratios(
     return np.stack([np.array(re) + 1j * np.array(im) for re, im in zip(*sums, strict=True)], axis=-1)
 
 
+def direct(scenes: Scenes, seen: Nodes) -> Floats:
+    """(M,) direct light at the nodes `seen`, relative to that of the projector."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from render.batch.kernels import hidden as kernels
+    from render.transport.kernels.arrays import upload_indices, upload_points
+
+    scene = upload_indices(seen.scene)
+    back = kernels.wall_records(scenes.batch, scene, upload_points(seen.values[:, :3]))
+    dr.eval(back)
+    return np.array(kernels.direct(scenes.batch, scene, back, dr.arange(mi.UInt32, len(seen.scene))))
+
+
 def first_level(scene: Scene) -> int:
     """Level of the surface points with which a scene begins."""
     shapes = [part.shape for part in scene.hidden_objects]

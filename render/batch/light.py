@@ -168,3 +168,27 @@ def mirrored_depth_m(scenes: Scenes, towards: NDArray[np.float64]) -> NDArray[np
     depth = kernels.mirrored_depth(scenes.batch, scene, rays, *ends, has_wall)
     dr.eval(depth)
     return np.array(depth).reshape(count, pixels)
+
+
+def depths_of_solids_m(
+    corner: Scenes, solids: NDArray[np.float64], towards: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """(N, P) as `mirrored_depth_m`, of N solids (N, 6, 4) in the corner of one scene.
+
+    The directions (P, 3) are the same for all; `solids` are the rows of `kernels.shadows.Shadows`.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    from render.batch.kernels import images as kernels
+    from render.transport.kernels.arrays import upload, upload_indices, upload_points
+
+    count = len(solids)
+    solid = upload_indices(np.repeat(np.arange(count), len(towards)))
+    batch = corner.batch.with_objects(upload(solids))
+    scene = dr.zeros(mi.UInt32, count * len(towards))
+    rays = dr.normalize(mi.Vector3f(upload_points(np.tile(towards, (count, 1)))))
+    has_wall = scene < dr.opaque(mi.UInt32, int(corner.scenes[0].mirror_occluders))
+    depth = kernels.mirrored_depth(batch, scene, rays, solid, solid + 1, has_wall)
+    dr.eval(depth)
+    return np.array(depth).reshape(count, len(towards))

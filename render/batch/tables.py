@@ -66,13 +66,21 @@ class PlacedObject:
 
     def rows(self, cell: int) -> Floats:
         """(6, 4) numbers of `kernels.shadows.Shadows`."""
-        to_unit = (self.axes / self.size).T
-        rows = np.zeros((6, 4))
-        rows[:3, :3], rows[:3, 3] = to_unit, -to_unit @ self.centre
-        rows[3, 0] = _CELL * cell
-        quadric, hiding = quadric_of(self.shape)
-        rows[4:].flat[:7] = (*quadric, hiding)
-        return rows
+        return rows_of(self.shape, cell, self.axes, self.centre, self.size)
+
+
+def rows_of(shape: Shape, cell: int, axes: Floats, centre: Floats, size: Floats) -> Floats:
+    """(..., 6, 4) numbers of `kernels.shadows.Shadows` of solids of one shape, placed as a `PlacedObject`.
+
+    `axes` is (..., 3, 3), `centre` and `size` are (..., 3), in camera axes.
+    """
+    rows = np.zeros((*centre.shape[:-1], 6, 4))
+    rows[..., :3, :3] = np.swapaxes(axes / size[..., None, :], -1, -2)
+    rows[..., :3, 3] = -np.einsum("...ij,...j->...i", rows[..., :3, :3], centre)
+    rows[..., 3, 0] = _CELL * cell
+    quadric, hiding = quadric_of(shape)
+    rows[..., 4, :], rows[..., 5, :3] = quadric[:4], (*quadric[4:], hiding)
+    return rows
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from disk.quantities import Vector
 from model.settings.run import DeviceName
 from scenegen.pose import camera_axes, rotation_matrix, wall_normal
 from scenegen.scene import Camera, Scene
+from scenegen.shapes import Shape
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +40,23 @@ def with_wall_at(scene: Scene, plane_per_m: Floats) -> Scene:
     centre = centre + (1 - plane @ (centre - scene.camera.location_m)) / (plane @ after) * after
     moved = replace(wall, location_m=vector(centre), rotation_deg=euler_deg(turned))
     return replace(scene, relay_wall=moved)
+
+
+def with_camera_at(scene: Scene, plane_per_m: Floats) -> Scene:
+    """The scene with its camera turned and moved along the relay wall's normal, so that it has this plane."""
+    wall, axes = scene.relay_wall, camera_axes(scene.camera)
+    towards, normal = -plane_per_m / np.linalg.norm(plane_per_m), wall_normal(wall)
+    gap_m = (np.asarray(scene.camera.location_m) - wall.location_m) @ normal
+    normal = normal if gap_m > 0 else -normal
+    turned = Rotation.align_vectors(towards[None], (axes @ normal)[None])[0].as_matrix() @ axes
+    right, down, forward = turned
+    place = scene.camera.location_m + (1 / np.linalg.norm(plane_per_m) - abs(gap_m)) * normal
+    camera = replace(
+        scene.camera,
+        location_m=vector(place),
+        rotation_deg=euler_deg(np.stack([right, -down, -forward], axis=1)),
+    )
+    return replace(scene, camera=camera)
 
 
 def euler_deg(matrix: Floats) -> Vector:
@@ -99,6 +117,23 @@ class CornerLight:
         """(N, P, F) hidden over direct light along (P, 3) rays that meet the relay wall."""
         return self._engine.over_direct(candidates, rays, fine=fine)
 
+    def direct(self, candidates: Sequence[Scene], rays: Floats) -> Floats:
+        """(N, P) direct light of the relay walls along (P, 3) rays that meet them, in any unit."""
+        return self._engine.direct(candidates, rays)
+
     def mirrored_depth_m(self, candidates: Sequence[Scene], rays: Floats) -> Floats:
         """(N, P) radial depth of the mirror images of candidates along (P, 3) rays, 0 beside them."""
         return self._engine.mirrored_depth_m(candidates, rays)
+
+    def sees_wall(self, corners: Sequence[Scene], rays: Floats) -> NDArray[np.bool_]:
+        """(N, P) whether the camera sees the relay wall along (P, 3) rays."""
+        return self._engine.sees_wall(corners, rays)
+
+    def depths_of_solids_m(
+        self, corner: Scene, shape: Shape, axes: Floats, centres_m: Floats, sizes_m: Floats, rays: Floats
+    ) -> Floats:
+        """(N, P) as `mirrored_depth_m`, of N solids of one shape in one corner.
+
+        `axes` (N, 3, 3) are their own axes as columns in world axes; places and extents are (N, 3).
+        """
+        return self._engine.depths_of_solids_m(corner, shape, axes, centres_m, sizes_m, rays)

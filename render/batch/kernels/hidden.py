@@ -121,8 +121,19 @@ def over_direct(
             re[f] += value * (cosine * a - sine * b)
             im[f] += value * (cosine * b + sine * a)
         place += 1
-    at = mi.Point3f(one.x, one.y, one.z)
-    direct = wall.lobe(-at / one.w, -at / one.w, two.x, two.y) * one.w / (at.z**3)
+    direct = _direct(wall, one, two)
     seen = direct > 0  # else the camera does not see the wall there
     re, im = ([dr.select(seen, each / direct, 0) for each in part] for part in (re, im))
     return re, im
+
+
+def direct(batch: Batch, scene: mi.UInt32, lattice: mi.Float, index: mi.UInt32) -> mi.Float:
+    """Direct light of wall points over the projector's; 0 if the camera does not see the wall there."""
+    one, two = dr.gather(QUAD, lattice, 2 * index), dr.gather(QUAD, lattice, 2 * index + 1)
+    return _direct(Wall(batch, scene), one, two)
+
+
+def _direct(wall: Wall, one: mi.Vector4f, two: mi.Vector4f) -> mi.Float:
+    """Direct light of the record of a wall point."""
+    at = mi.Point3f(one.x, one.y, one.z)
+    return wall.lobe(-at / one.w, -at / one.w, two.x, two.y) * one.w / (at.z**3)

@@ -29,6 +29,12 @@ class Batch:
         self.walls, self.transmittance = walls, transmittance
         self.phase_per_metre, self.shadows = phase_per_metre, shadows
 
+    def with_objects(self, objects: mi.Float) -> Batch:
+        """The same walls with other objects, which only mirror images may ask for: no scene has them."""
+        old = self.shadows
+        shadows = Shadows(old.world, old.first, old.last, objects, old.has_meshes)
+        return Batch(self.walls, self.transmittance, self.phase_per_metre, shadows)
+
 
 class Wall:
     """The relay wall of scene `n` and its occluder, gathered once for each lane."""

@@ -1,0 +1,120 @@
+"""How well a measurement tells solids apart: what speaks for a fit, and how wrong it may be.
+
+The evidence against a fit with the misfit m of the values v is
+
+    |m|² / (noise² + (ε |v|)²) + (d / D)²,
+
+with the noise of a value, the usual error ε of a model's light, the mean difference d of its mirror image to
+the depth map of the network, and the error D that the network expects of that. Model errors are smooth over
+the wall, so that all of them count like one value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.refinement.least_squares import Fit, jacobians
+from model.refinement.search import Sketch
+from model.refinement.unknowns import Unknown, changed
+
+Floats = NDArray[np.float64]
+USUAL_MISFIT: Final = 0.004  # ε, of the right solid
+USUAL_M: Final = 0.02  # D of a network that expects none
+_LEAST_M: Final = 0.005  # of D
+_SMOOTH: Final = 20  # values to which the errors of a model are equal, about
+_OF_A_POSE: Final = 7  # unknowns of a solid, and the roughness of the wall
+_DRAWS: Final = 8
+_RIDGE: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What the network expects: its depth map, and the error of it, metres."""
+
+    sketch: Sketch
+    expected_m: float
+
+    @classmethod
+    def of(cls, sketch: Sketch, expected_m: float | None) -> Prior:
+        """`expected_m` is None for a network that expects no error."""
+        return cls(sketch, USUAL_M if expected_m is None else max(expected_m, _LEAST_M))
+
+    def against(self, fits: Sequence[Fit]) -> Floats:
+        """(N,) evidence against fits."""
+        if not fits:
+            return np.zeros(0)
+        apart_m = self.sketch.differences_m([fit.candidate for fit in fits])
+        light = np.array([fit.misfit**2 * _in_errors(fit) for fit in fits])
+        against: Floats = light + (apart_m / self.expected_m) ** 2
+        return against
+
+
+def against_nothing(fit: Fit) -> float:
+    """Evidence against there being no light at all, less that against the light of a fit."""
+    return (1 - fit.misfit**2) * _in_errors(fit)
+
+
+def _in_errors(fit: Fit) -> float:
+    """|v|² in units of the errors."""
+    observed = fit.comparison.observed
+    power = max(float(observed.values @ observed.values), float(np.finfo(float).tiny))
+    return power / (observed.noise**2 + USUAL_MISFIT**2 * power)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviations of the unknowns of a fit, and the error of its mirror image that follows.
+
+    Attributes
+    ----------
+    unknowns, deviation : (U,) the numbers, and how wrong each may be, in its unit.
+    is_dim : whether the reflectance is one more unknown.
+    expected_mae_m : mean absolute error over all pixels.
+    """
+
+    unknowns: Sequence[Unknown]
+    deviation: Floats
+    is_dim: bool
+    expected_mae_m: float
+
+    @classmethod
+    def of_fits(cls, fits: Sequence[Fit], prior: Prior, fine: Sketch, *, sizes: bool, seed: int) -> Spread:
+        """Of the first of some fits; the others are what the object may be instead.
+
+        `fine` has the pixels of the image.
+        """
+        fit = fits[0]
+        ((unknowns, jacobian),) = jacobians([fit], roughness=True, sizes=sizes)
+        observed = fit.comparison.observed
+        model = max(fit.unexplained, USUAL_MISFIT / 2) ** 2 * float(observed.values @ observed.values)
+        normal = jacobian.T @ jacobian
+        normal += _RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
+        covariance = np.linalg.inv(normal) * (observed.noise**2 + model / _SMOOTH)
+        draws = np.random.default_rng(seed).multivariate_normal(
+            np.zeros(len(covariance)), covariance, _DRAWS, method="eigh"
+        )
+        near = [changed(fit.candidate, unknowns, draw) for draw in draws]
+        shown = fine.depths_m([*(each.candidate for each in fits), *near])
+        apart_m = np.abs(shown - shown[0]).mean(axis=1)
+        against = prior.against(fits)
+        share = np.exp((against.min() - against) / 2)
+        other_m = float(share @ apart_m[: len(fits)] / share.sum())
+        own_m = float(apart_m[len(fits) :].mean())
+        is_dim = fit.comparison.reflectance is None
+        return cls(unknowns, np.sqrt(np.diag(covariance)), is_dim, own_m + other_m)
+
+    @property
+    def freedom(self) -> float:
+        """Misfit that these unknowns leave of errors of the model, over that which those of a pose leave."""
+        return math.sqrt(max(_SMOOTH - len(self.unknowns) - self.is_dim, 1) / (_SMOOTH - _OF_A_POSE))
+
+    def of(self, kind: str) -> Floats:
+        """(n,) standard deviations of one kind of unknowns of the solid."""
+        pairs = zip(self.unknowns, self.deviation, strict=True)
+        return np.array([deviation for unknown, deviation in pairs if unknown.kind == kind])

@@ -1,0 +1,28 @@
+"""What the hidden object may be, from a preset."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from model.judging.refusals import EvaluationError
+from model.refinement.refining import Family
+from model.refinement.settings import Unknown
+from scenegen import Preset
+from scenegen.shapes import PRIMITIVES
+
+
+def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
+    """The shapes of a preset that can be fitted; `unknown` is not taken from it.
+
+    Raises
+    ------
+    EvaluationError : none of its shapes can be fitted.
+    """
+    hidden = preset.hidden_object
+    known = {shape: hidden.size_m.of(shape) for shape in hidden.shapes if shape in PRIMITIVES}
+    if not known:
+        raise EvaluationError(
+            f"the preset of the objects has none of the shapes that can be fitted: {', '.join(PRIMITIVES)}"
+        )
+    is_known = "reflectance" not in unknown and hidden.least_reflectance is None
+    return Family(known, "sizes" in unknown, hidden.reflectance if is_known else None)

@@ -1,0 +1,121 @@
+"""Refinement of the measurements in a file, without a dataset."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from disk import PathLike
+from itof import DepthMap
+from itof.wall.expected_wall import ExpectedWall
+from model.device import one_thread
+from model.prediction.explanation import RefinedImage
+from model.prediction.prediction_files import FilePrediction, predict_file
+from model.prediction.predictor import load
+from model.refinement.explaining import explained
+from model.refinement.family import family_of
+from model.refinement.light.corner_light import CornerLight, with_camera_at
+from model.refinement.light_figure import light_figure
+from model.refinement.refining import Family, refined
+from model.refinement.room import corner_of, refuse_hidden_wall
+from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS, Unknown
+from model.settings.run import DeviceName
+from scenegen import Preset
+
+
+def refine(
+    run: PathLike,
+    measurement_file: PathLike,
+    out: PathLike,
+    *,
+    room: Preset | None = None,
+    objects: Preset | None = None,
+    unknown: Sequence[Unknown] | None = None,
+    largest_misfit: float = LARGEST_MISFIT,
+    rescale: bool | None = None,
+    horizontal_fov_deg: float | None = None,
+    force: bool = False,
+    device: DeviceName = "auto",
+    progress: bool = True,
+) -> FilePrediction:
+    """Predict every image of a measurement file, and find the solid that explains it.
+
+    The folder `out` is that of `predict_file`, with the depth maps of the solids that are accepted, and
+    ``000000_light.png``: the light that was measured, what the solid explains of it, and what is left over.
+    ``prediction.json`` holds the solid (`explanation`).
+
+    Parameters
+    ----------
+    room : where the middle wall is, and the material of the relay wall; its camera may be some decimetres and
+        degrees elsewhere. None: nothing hides anything.
+    objects : a preset with the shapes and extents of what may be there; None for all primitives.
+    unknown : what of the object is fitted besides its pose; by default extents and reflectance, unless
+        `objects` gives them.
+    largest_misfit : share of the hidden light that may stay unexplained.
+
+    Raises
+    ------
+    RoomError : the room is not that of the measurement.
+    ImplausibleError, MeasurementError, PredictionError, RunError, DeviceError : as `predict_file`, which also
+        has the other parameters.
+    """
+    fitted = (UNKNOWNS if objects is None else ()) if unknown is None else unknown
+    family = family_of(objects or Preset(), fitted)
+    predictor = load(run, device)
+    view_deg = horizontal_fov_deg or predictor.config.geometry.horizontal_fov_deg
+    light = CornerLight(predictor.config.inputs.frequencies_hz, device)
+    refiner = _FileRefiner(room, view_deg, light, family, largest_misfit)
+    return predict_file(
+        *(run, measurement_file, out),
+        rescale=rescale,
+        horizontal_fov_deg=horizontal_fov_deg,
+        force=force,
+        device=device,
+        progress=progress,
+        refiner=refiner,
+    )
+
+
+@dataclass(frozen=True)
+class _FileRefiner:
+    """A `model.prediction.explanation.Refiner`."""
+
+    room: Preset | None
+    horizontal_fov_deg: float
+    light: CornerLight
+    family: Family
+    largest_misfit: float
+
+    def __call__(
+        self,
+        phasor: NDArray[Any],
+        prediction: DepthMap,
+        expected_m: float | None,
+        wall: ExpectedWall,
+        title: str,
+    ) -> RefinedImage:
+        """The better depth map of an image (H, W, F)."""
+        corner = corner_of(self.room, wall, self.horizontal_fov_deg)
+        placed = with_camera_at(corner, np.asarray(wall.plane_per_m))
+        refuse_hidden_wall(placed, wall.rays.reshape(-1, 3), self.light)
+        seed = zlib.crc32(np.ascontiguousarray(phasor).tobytes())
+        with one_thread():
+            arguments = (phasor, prediction, expected_m, wall, corner, self.light, self.family)
+            found = refined(*arguments, knows_camera=False, seed=seed)
+        if found is None:
+            return RefinedImage(prediction, None, None)
+        outcome = explained(found, prediction, expected_m, self.largest_misfit)
+        fit = found.fit
+        (misfit,) = fit.comparison.misfits([fit.candidate])
+        picture = light_figure(
+            f"{title}\n{outcome.words}", fit.comparison.observed, misfit, wall.frequencies_hz
+        )
+        better = prediction
+        if outcome.accepted:
+            better = replace(found.depth_map, frequency_hz=prediction.frequency_hz)
+        return RefinedImage(better, outcome, picture)

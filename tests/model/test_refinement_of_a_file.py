@@ -1,0 +1,143 @@
+"""``night-eval refine`` on one measurement: the corner from a room, or none."""
+
+import json
+
+import numpy as np
+import pytest
+from night_commands import night_here, refusal
+from PIL import Image
+from render_runs import render_scenes
+
+import model
+from itof import DepthMap, read_image
+from scenegen import preset_from_dict
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+RUN = "night-40x30"
+
+
+@pytest.fixture(scope="module")
+def dataset(make_dataset):
+    made = make_dataset(
+        {
+            "dataset": {"count": 2, "seed": 92},
+            "hidden_object": {
+                "shapes": ["cube", "sphere"],
+                "composite_fraction": 0.0,
+                "size_m": {"sphere": [0.46, 0.46, 0.46]},
+                "reflectance": 0.7,
+            },
+        }
+    )
+    render_scenes(made.root, product="itof", resolution=(40, 30), error=0.005)
+    return made
+
+
+@pytest.fixture(scope="module")
+def measured(dataset, tmp_path_factory):
+    """A file without anything that a dataset knows: a sphere in a camera's own unit."""
+    phasors, hz = read_image(dataset.render_folder("000001") / "itof.exr").phasors()
+    file = tmp_path_factory.mktemp("measured") / "sphere.npz"
+    np.savez(file, phasors=1e4 * phasors, frequencies_hz=np.array(hz))
+    return file
+
+
+@pytest.fixture(scope="module")
+def refined(measured, tmp_path_factory):
+    """Folder of its refinement, and what the command printed."""
+    out = tmp_path_factory.mktemp("refined") / "out"
+    done = night_here(
+        *("night-eval", "refine", RUN, measured, "--out", out, "--room", "paper", "--device", "cpu")
+    )
+    assert done.returncode == 0, done.stderr
+    return out, done.stdout
+
+
+def test_place_size_and_reflectance_of_a_solid_are_found_from_a_file(refined, dataset):
+    out, said = refined
+    record = json.loads((out / "prediction.json").read_text())
+    (image,) = record["images"]
+    found, (true,) = image["explanation"], dataset.scene("000001").hidden_objects
+    assert found["accepted"]
+    assert found["solid"]["shape"] == "sphere"
+    # The light of 0.5 % noise tells size and reflectance apart to a few per cent.
+    np.testing.assert_allclose(found["solid"]["size_m"], true.size_m, rtol=0.06)
+    assert found["reflectance"] == pytest.approx(true.reflectance, rel=0.15)
+    away_m = np.array(found["solid"]["location_m"]) - true.location_m
+    assert (np.abs(away_m) < 0.01 + 3 * np.array(found["solid"]["location_std_m"])).all()
+    assert image["expected_mae_m"] == found["expected_mae_m"]
+    assert "a sphere leaves" in said
+    truth = DepthMap.read(dataset.render_folder("000001") / "mirrored.exr")
+    written = DepthMap.read(out / "000000.exr")
+    network = model.load(RUN, "cpu").predict(
+        read_image(dataset.render_folder("000001") / "itof.exr").phasors()[0]
+    )
+    errors_m = [np.abs(each.depth - truth.depth).mean() for each in (written, network)]
+    assert errors_m[0] < min(errors_m[1], 0.005)
+
+
+def test_the_picture_shows_what_the_solid_leaves(refined):
+    record = json.loads((refined[0] / "prediction.json").read_text())
+    assert "000000_light.png" in record["images"][0]["files"]
+    with Image.open(refined[0] / "000000_light.png") as picture:
+        assert min(picture.size) > 500
+
+
+def test_a_refinement_is_replaced_as_a_prediction_is(refined, measured):
+    again = night_here(
+        *("night-eval", "refine", RUN, measured, "--out", refined[0], "--room", "paper", "--device", "cpu")
+    )
+    assert again.returncode == 0, again.stderr
+    assert again.stdout == refined[1]
+
+
+def test_only_given_solids_are_tried_and_what_does_not_explain_the_light_is_no_answer(measured, tmp_path):
+    objects = preset_from_dict(
+        {"hidden_object": {"shapes": ["concave_plane"], "composite_fraction": 0.0}}, "a test"
+    )
+    done = model.refine(*(RUN, measured, tmp_path / "out"), objects=objects, device="cpu", progress=False)
+    (image,) = done.images
+    assert not image.explanation.accepted
+    assert image.explanation.solid.size_m == objects.hidden_object.size_m.concave_plane
+    assert "no solid is accepted; the best, a concave plane, leaves" in image.sentence
+
+
+ROOMS = {
+    "[camera]\nrotation_deg = [90.0, 0.0, -130.0]": "the relay wall of the room is behind its camera",
+    "[camera]\nlocation_m = [3.0, -2.0, 1.65]": "the room has its relay wall 3.00 m from the camera, the "
+    "measurement shows it at 1.00 m",
+    "[middle_wall]\nlocation_m = [0.5, -0.5, 2.0]\nrotation_deg = [90.0, 0.0, 50.0]": "the middle wall of "
+    "the room hides the whole relay wall from the camera",
+}
+
+
+@pytest.mark.parametrize("words", ROOMS, ids=["behind", "far", "hidden"])
+def test_rooms_that_cannot_be_are_named(measured, tmp_path, words):
+    room = tmp_path / "room.toml"
+    room.write_text(words)
+    sentence = refusal(
+        *("night-eval", "refine", RUN, measured, "--out", tmp_path / "out", "--room", room, "--device", "cpu")
+    )
+    assert sentence.startswith(ROOMS[words])
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_a_dataset_and_of_a_file_are_not_mixed(measured, dataset, tmp_path):
+    out = ("--out", tmp_path / "out")
+    said = refusal("night-eval", "refine", RUN, measured, *out, "--workers", 2, "--split", "test")
+    assert said == f"--split, --workers: for a dataset, which {measured} is not; leave it out"
+    said = refusal("night-eval", "refine", RUN, dataset.root, *out, "--room", "paper", "--fov", 60)
+    assert said == f"--fov, --room: for a file with a measurement, which {dataset.root} is not; leave it out"
+
+
+def test_files_that_the_network_cannot_read_are_named_as_by_predict(measured, tmp_path):
+    with np.load(measured) as arrays:
+        phasors, hz = arrays["phasors"], arrays["frequencies_hz"]
+    cases = {
+        "two": ({"phasors": phasors[..., :2], "frequencies_hz": hz[:2]}, "the network also needs 60 MHz"),
+        "wide": ({"phasors": phasors[:20], "frequencies_hz": hz}, "holds images of 40x20 pixels"),
+    }
+    for name, (arrays, words) in cases.items():
+        np.savez(tmp_path / f"{name}.npz", **arrays)
+        given = (RUN, tmp_path / f"{name}.npz", "--out", tmp_path / "out", "--room", "paper")
+        assert words in refusal("night-eval", "refine", *given, "--device", "cpu")
