@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 _COARSEST = 10  # cells in the width of the film
 _CHECKS = 128  # points between the nodes, at which the interpolation is checked
-_SHARE = 0.25  # of the wanted error, for the interpolation
+_SHARE = 0.25  # of the wanted error, for the interpolation; more if the lights leave more
+_LEFT = 0.99  # of the wanted error, for lights and interpolation; the rest is for nodes in pixels
 _UNSURE = 4.0  # error over the change from linear to quadratic: shadows of few lights are no polynomials
 _UNEVEN = 0.05  # of a pixel's light: nodes that differ less are enough
 _MOST_EXACT = 16  # nodes in x and in y of a pixel that is not interpolated
@@ -223,9 +224,9 @@ def make_field(
 ) -> HiddenField:
     """The hidden signal by a set of lights, on a lattice that is as fine as the wanted error needs.
 
-    The step of the lattice is halved until the interpolation at points between the nodes has at most a
-    quarter of the wanted error. If a lattice would have more than `most_nodes` nodes, every pixel is computed
-    exactly.
+    The step of the lattice is halved until the error of the interpolation at points between the nodes is at
+    most what the random error of the lights leaves of the wanted error, or a quarter of it. If a lattice
+    would have more than `most_nodes` nodes, every pixel is computed exactly.
 
     Parameters
     ----------
@@ -238,7 +239,9 @@ def make_field(
     lattice = runs.lattice
     if not len(lights) or len(lattice.nodes) >= most_nodes:
         return everywhere
-    allowed = _SHARE * (random if wanted is None else wanted)
+    allowed = _SHARE * random
+    if wanted is not None:
+        allowed = max(_SHARE * wanted, np.sqrt(max(0, (_LEFT * wanted) ** 2 - random**2)))
     checks = sobol_points(2, _CHECKS, 0)
     seen = seen_surfaces(scene, checks).astype(np.int64)
     exact = gather_runs(scene, checks, frequencies_hz, lights)
