@@ -225,8 +225,8 @@ def make_field(
     """The hidden signal by a set of lights, on a lattice that is as fine as the wanted error needs.
 
     The step of the lattice is halved until the error of the interpolation at points between the nodes is at
-    most what the random error of the lights leaves of the wanted error, or a quarter of it. If a lattice
-    would have more than `most_nodes` nodes, every pixel is computed exactly.
+    most a quarter of the wanted error, or half of what the lights leave of its square; all of it where the
+    next lattice would have `most_nodes` nodes or more. Else every pixel is computed exactly.
 
     Parameters
     ----------
@@ -239,9 +239,8 @@ def make_field(
     lattice = runs.lattice
     if not len(lights) or len(lattice.nodes) >= most_nodes:
         return everywhere
-    allowed = _SHARE * random
-    if wanted is not None:
-        allowed = max(_SHARE * wanted, np.sqrt(max(0, (_LEFT * wanted) ** 2 - random**2)))
+    share = _SHARE * (random if wanted is None else wanted)
+    left = np.sqrt(max(0, (_LEFT * (wanted or 0)) ** 2 - random**2))
     checks = sobol_points(2, _CHECKS, 0)
     seen = seen_surfaces(scene, checks).astype(np.int64)
     exact = gather_runs(scene, checks, frequencies_hz, lights)
@@ -250,15 +249,19 @@ def make_field(
     while True:
         ratio, valid, surface = _over_carrier(scene, lattice, values, frequencies_hz, lights)  # (R, N, F)
         inside = lattice.covers(checks, valid) & (seen == surface)
-        between = np.stack([lattice.interpolated(one, checks[inside]) for one in ratio]) * carrier[inside]
+        table = ratio.transpose(1, 0, 2)  # (N, R, F)
+        between = lattice.interpolated(table.reshape(len(table), -1), checks[inside])
+        between = between.reshape(-1, *table.shape[1:]).transpose(1, 0, 2) * carrier[inside]
         missed = common_part(between - exact[:, inside], np.linalg.norm(exact.mean(axis=0), axis=0))
-        if inside.any() and np.all(missed <= allowed):
+        finer = lattice.halved()
+        is_last = len(finer.nodes) >= most_nodes
+        if inside.any() and np.all(missed <= max(share, left if is_last else left / 2**0.5)):
             error = float(np.hypot(random, missed).max())
             mean = ratio.mean(axis=0)
             return HiddenField(scene, lights, frequencies_hz, lattice, mean, valid, surface, error)
-        lattice = lattice.halved()
-        if len(lattice.nodes) >= most_nodes:
+        if is_last:
             return everywhere
+        lattice = finer
         old, known = values, lattice.is_old()
         values = np.empty((lights.runs, len(known), len(frequencies_hz)), complex)
         values[:, known] = old
