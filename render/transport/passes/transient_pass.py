@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _MOST_PACKETS = 64  # for the arrivals of each light,
 _ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each, at this error; for smaller
 _ERROR_OF_PACKETS = 0.0075  # ones more, or bins would have the noise of packets instead of that of the lights
-_LEAST_ERROR = 1e-4
+_LEAST_ERROR = 1e-4  # that counts for this
 _MOST_LOST = 1e-4  # of the hidden energy
 _MARGIN_BINS = 2.5  # around the light that a B-spline spreads, or a curve between its samples
 
