@@ -3,20 +3,23 @@
 Each pair is a scene of the paper's preset (any class, any roughness) and a seed of the renderer. The true
 error is that of the hidden phasors, the largest of all frequencies, against a reference with 16 times the
 lights and other seeds. The reference's own error is part of it, so true errors are slightly too large. With
---corners, each pair has a corner of its own (`tests/support/odd_corners.py`): walls that are tilted, end in
-view or leave a slit, and a rolled camera. Then it is the error of all light, relative to the hidden part. The
-program ends with exit code 1 if fewer than 95 % of the pairs have a true error at or below the reported one,
-or at or below the wanted one. With --out, a second run goes on where the first one stopped; delete the file
-after a change of the renderer. Run:
+--transients, it is that of the phasors of a transient's bins; the bins themselves are compared with those of
+another seed. With --corners, each pair has a corner of its own (`tests/support/odd_corners.py`): walls that
+are tilted, end in view or leave a slit, and a rolled camera. Then it is the error of all light, relative to
+the hidden part. The program ends with exit code 1 if fewer than 95 % of the pairs have a true error at or
+below the reported one, or at or below the wanted one. With --out, a second run goes on where the first one
+stopped; delete the file after a change of the renderer. Run:
 
     .venv/bin/python benchmarks/error_coverage.py --pairs 200
     .venv/bin/python benchmarks/error_coverage.py --pairs 200 --corners --pixels 128
+    .venv/bin/python benchmarks/error_coverage.py --pairs 40 --transients --pixels 128
 """
 
 import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,16 +29,17 @@ import numpy as np
 from reference_light import corner_reference, reference
 from seven_scenes import SCENES, made_datasets
 
-from itof import TransientLayout, megahertz
+from itof import MeasurementMatrix, TransientLayout, megahertz
 from render.backend import select_variant
 from render.options import ManyLightOptions
-from render.transport.many_light import ManyLight
-from render.transport.method import View
+from render.transport.many_light import ManyLight, ManyLightExposure
+from render.transport.method import PhasorImage, View
 from render.transport.scene_loading import load_scene
 from scenegen import Dataset, Scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 SHARE = 0.95  # of the pairs, that must hold
+_OTHER_SEED = 2**16  # added to the seed
 _WARM_UP = 2  # pairs whose seconds are not counted
 Row = dict[str, Any]
 
@@ -45,6 +49,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--pairs", type=int, default=200, help="pairs of scene and seed, default 200")
     arguments.add_argument("--corners", action="store_true", help="a random corner for each pair")
+    arguments.add_argument("--transients", action="store_true", help="measure transients")
     arguments.add_argument("--error", type=float, nargs="+", default=[0.01, 0.005], help="wanted errors")
     arguments.add_argument("--size", default="40x30", help="image size, default 40x30")
     arguments.add_argument("--pixels", type=int, default=2048, help="most pixels that are compared")
@@ -99,7 +104,8 @@ def measured_pair(dataset: Dataset, pair: int, errors: list[float], given: argpa
     images, rows = [], []
     for error in errors:
         started = time.perf_counter()
-        exposure = ManyLight(ManyLightOptions(error=error), variant).expose(scene, view)
+        method = ManyLight(ManyLightOptions(error=error), variant)
+        exposure = method.expose(scene, view)
         images.append(exposure.phasors())
         rows.append(
             {
@@ -112,6 +118,9 @@ def measured_pair(dataset: Dataset, pair: int, errors: list[float], given: argpa
                 "seconds": time.perf_counter() - started,
             }
         )
+        if given.transients:
+            other = method.expose(scene, replace(view, seed=pair + _OTHER_SEED))
+            images[-1], rows[-1]["bins"] = of_bins(exposure, other)
     lights = max(row["lights"] for row in rows)
     if given.corners:
         truth = corner_reference(data, scene, view, lights, given.pixels)
@@ -121,6 +130,25 @@ def measured_pair(dataset: Dataset, pair: int, errors: list[float], given: argpa
         row["true"] = float(truth.relative_errors(image.total if given.corners else image.hidden).max())
         row["reference"] = truth.error
     return rows
+
+
+def hidden_bins(exposure: ManyLightExposure) -> np.ndarray:
+    """(H, W, T) hidden part of a transient: its bins less those of the direct return."""
+    dark = replace(exposure, field=None)
+    vars(dark).update(_direct=exposure._direct, _rule=exposure._rule)
+    full, direct = (np.concatenate(list(each.row_blocks())) for each in (exposure, dark))
+    return full - direct
+
+
+def of_bins(exposure: ManyLightExposure, other: ManyLightExposure) -> tuple[PhasorImage, float]:
+    """Phasors of the bins of a transient; and the error of its bins, four as one, by another seed."""
+    view, bins = exposure.view, hidden_bins(exposure)
+    axis = (view.layout.bin_count, view.layout.bin_width_m, view.layout.start_opl_m)
+    hidden = MeasurementMatrix(view.frequencies_hz, *axis, splat="quadratic").apply(bins)
+    one, two = (np.add.reduceat(each, range(0, axis[0], 4), axis=2) for each in (bins, hidden_bins(other)))
+    scatter = float(np.linalg.norm(one - two) / 2**0.5 / np.linalg.norm(one))
+    image = exposure.phasors()
+    return replace(image, hidden=hidden, total=image.direct + hidden), scatter
 
 
 def random_scene(seed: int, width: int, height: int) -> tuple[Scene, Any]:
@@ -151,6 +179,10 @@ def printed(wanted: float, rows: list[Row]) -> bool:
         if mine:
             print(line(name.replace("_", " "), mine, wanted))
     print(line("all", rows, wanted))
+    if "bins" in rows[0]:
+        print(
+            f"\nError of bins, four of which are one (median): {np.median([row['bins'] for row in rows]):.2%}"
+        )
     own = np.median([row["reference"] for row in rows]) / wanted
     print(f"\nThe reference reports an error of {own:.2f} of the wanted one itself (median).")
     return all(share >= SHARE for share in shares(rows, wanted))

@@ -100,6 +100,15 @@ def test_bins_hold_few_digits_and_the_whole_signal(variant, tmp_path, hidden_bin
     assert rounded.sum() == pytest.approx(whole.sum(), rel=1e-4)
 
 
+def test_bins_have_the_noise_of_the_lights_also_for_small_errors(variant, tmp_path, hidden_bins, monkeypatch):
+    scene = OddCorner((box(),)).load(tmp_path)
+    some, others = (expose(scene, variant, lights=8192, seed=seed, layout=LAYOUT) for seed in (1, 2))
+    bins, noisy = hidden_bins(some), hidden_bins(others)
+    monkeypatch.setattr(transient_pass, "_ALL_PACKETS", 2**22)
+    # A quarter of the difference of two seeds adds a 16th to it, in squares.
+    assert different(bins, hidden_bins(some)) < 0.25 * different(bins, noisy)
+
+
 def test_no_bin_is_negative_beyond_the_ringing_of_a_spline(variant, tmp_path, hidden_bins):
     fast = hidden_bins(expose(OddCorner((box(),)).load(tmp_path), variant, lights=64, layout=LAYOUT))
     # No closed form: a spline rings by up to 9 % of a step (Gibbs), and few bins are beside a step.

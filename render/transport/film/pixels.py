@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,7 @@ class PixelRule:
         return np.outer(self.weights, self.weights).ravel()
 
 
+@cache
 def gauss_rule(order: int) -> PixelRule:
     """Gauss-Legendre rule for smooth integrands: exact for polynomials of degree 2 order - 1."""
     nodes, weights = np.polynomial.legendre.leggauss(order)

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 _COARSEST = 10  # cells in the width of the film
 _CHECKS = 128  # points between the nodes, at which the interpolation is checked
-_SHARE = 0.25  # of the wanted error, for the interpolation
+_SHARE = 0.25  # of the wanted error, for the interpolation; more if the lights leave more
+_LEFT = 0.99  # of the wanted error, for lights and interpolation; the rest is for nodes in pixels
 _UNSURE = 4.0  # error over the change from linear to quadratic: shadows of few lights are no polynomials
 _UNEVEN = 0.05  # of a pixel's light: nodes that differ less are enough
 _MOST_EXACT = 16  # nodes in x and in y of a pixel that is not interpolated
@@ -223,9 +224,9 @@ def make_field(
 ) -> HiddenField:
     """The hidden signal by a set of lights, on a lattice that is as fine as the wanted error needs.
 
-    The step of the lattice is halved until the interpolation at points between the nodes has at most a
-    quarter of the wanted error. If a lattice would have more than `most_nodes` nodes, every pixel is computed
-    exactly.
+    The step of the lattice is halved until the error of the interpolation at points between the nodes is at
+    most a quarter of the wanted error, or half of what the lights leave of its square; all of it where the
+    next lattice would have `most_nodes` nodes or more. Else every pixel is computed exactly.
 
     Parameters
     ----------
@@ -238,7 +239,8 @@ def make_field(
     lattice = runs.lattice
     if not len(lights) or len(lattice.nodes) >= most_nodes:
         return everywhere
-    allowed = _SHARE * (random if wanted is None else wanted)
+    share = _SHARE * (random if wanted is None else wanted)
+    left = np.sqrt(max(0, (_LEFT * (wanted or 0)) ** 2 - random**2))
     checks = sobol_points(2, _CHECKS, 0)
     seen = seen_surfaces(scene, checks).astype(np.int64)
     exact = gather_runs(scene, checks, frequencies_hz, lights)
@@ -247,15 +249,19 @@ def make_field(
     while True:
         ratio, valid, surface = _over_carrier(scene, lattice, values, frequencies_hz, lights)  # (R, N, F)
         inside = lattice.covers(checks, valid) & (seen == surface)
-        between = np.stack([lattice.interpolated(one, checks[inside]) for one in ratio]) * carrier[inside]
+        table = ratio.transpose(1, 0, 2)  # (N, R, F)
+        between = lattice.interpolated(table.reshape(len(table), -1), checks[inside])
+        between = between.reshape(-1, *table.shape[1:]).transpose(1, 0, 2) * carrier[inside]
         missed = common_part(between - exact[:, inside], np.linalg.norm(exact.mean(axis=0), axis=0))
-        if inside.any() and np.all(missed <= allowed):
+        finer = lattice.halved()
+        is_last = len(finer.nodes) >= most_nodes
+        if inside.any() and np.all(missed <= max(share, left if is_last else left / 2**0.5)):
             error = float(np.hypot(random, missed).max())
             mean = ratio.mean(axis=0)
             return HiddenField(scene, lights, frequencies_hz, lattice, mean, valid, surface, error)
-        lattice = lattice.halved()
-        if len(lattice.nodes) >= most_nodes:
+        if is_last:
             return everywhere
+        lattice = finer
         old, known = values, lattice.is_old()
         values = np.empty((lights.runs, len(known), len(frequencies_hz)), complex)
         values[:, known] = old

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from itof import phase_per_metre
+from render.transport.film.pixels import gauss_rule
 
 Floats = NDArray[np.float64]
 RULE_ERROR: Final = 1e-8  # of the direct return, which is 200 to 5000 times the hidden signal
@@ -58,7 +59,7 @@ class PixelRange:
 
     def change(self, frequencies_hz: tuple[float, ...], order: int) -> Floats:
         """(P,) D from side to side of pixels, of which the nodes between reach over a part."""
-        reach = float(np.polynomial.legendre.leggauss(order)[0][-1])  # the outermost node
+        reach = 2 * float(gauss_rule(order).nodes[-1]) - 1  # the outermost node
         near_m, far_m = (np.maximum(each, 1e-30) for each in (self.near_m, self.far_m))
         inverse = (1 / near_m - 1 / far_m) * (1 / reach - 1) / 2  # to the sides
         far_m, near_m = 1 / np.maximum(1 / far_m - inverse, 1e-3 / far_m), 1 / (1 / near_m + inverse)

@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from render.transport.kernels.time_bins import TimeAxis
 
 _MOST_PACKETS = 64  # for the arrivals of each light,
-_ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each
+_ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each, at this error; for smaller
+_ERROR_OF_PACKETS = 0.0075  # ones more, or bins would have the noise of packets instead of that of the lights
+_LEAST_ERROR = 1e-4  # that counts for this
 _MOST_LOST = 1e-4  # of the hidden energy
 _MARGIN_BINS = 2.5  # around the light that a B-spline spreads, or a curve between its samples
 
@@ -144,7 +146,8 @@ class _HiddenPart:
     ) -> None:
         self.scene, self.grid, self.rule, self.field = scene, grid, rule, field
         lights = field.lights
-        count = min(_MOST_PACKETS, max(2, _ALL_PACKETS // max(len(lights), 1)))
+        all_packets = _ALL_PACKETS * max(1.0, _ERROR_OF_PACKETS / max(field.error, _LEAST_ERROR))
+        count = min(_MOST_PACKETS, max(2, int(all_packets) // len(lights)))
         energy, opl_m = lights.packets(count, view.seed)
         self.packets = (energy / lights.runs, opl_m)  # the signal is the mean over the runs
         self.curves = make_curves(scene, view, grid, rule, field, self.packets)
