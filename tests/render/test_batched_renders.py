@@ -47,14 +47,14 @@ def methods(records):
 def test_files_do_not_depend_on_the_other_scenes_of_a_job(copied):
     ids = copied.ids()
     found = []
-    for jobs in ([ids], [[each] for each in ids], [ids[3:], ids[:3]]):
+    for jobs in ([ids], [[each] for each in reversed(ids)]):
         one = renderer(copied, error=0.05)
         records = {}
         for job in jobs:
             records |= dict(zip(job, one.render_all(job), strict=True))
         assert methods(records.values()) == ["batched"] * 5
         found.append({each: (records[each].files, records[each].attributes) for each in ids})
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
 
 
 def test_phasors_and_ground_truth_are_those_of_many_lights(copied):
