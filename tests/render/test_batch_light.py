@@ -118,6 +118,7 @@ for first in (0, 20):
 """
 
 
+@pytest.mark.long
 def test_another_batch_has_the_same_kernels():
     """In a process of its own: the history of kernels changes what is computed after it."""
     done = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=True)
@@ -291,6 +292,7 @@ def test_a_roughness_between_those_of_the_tables_is_mixed(light):
     assert norm(mixed - expected) / norm(expected) < np.hypot(0.02, 0.01)
 
 
+@pytest.mark.long
 def test_smaller_errors_are_kept():
     """Against the same engine with a tenth of the error, 95 % of the scenes are within the wanted error."""
     scenes = drawn(load_preset("any-corner"), 21, 6)
