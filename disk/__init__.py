@@ -5,33 +5,10 @@
 lead out of a folder, and `plain_file` reads no pipe and no device. `locks` are for processes. `contract`
 checks JSON and TOML, with the bounds of `quantities`. `machine_memory` says what fits into memory. Knows
 nothing of light or scenes, and imports no other package of NIGHT.
+
+The names below are loaded at their first use: a process that reads a measurement needs few of them.
 """
 
-from disk.contract import ContractError
-from disk.file_hashes import FileHashes, sha256_of
-from disk.inner_paths import OutsideError, inside
-from disk.night_error import NightError
-from disk.partials import is_partial, remove_leftovers
-from disk.path_like import PathLike
-from disk.preset_files import PresetError, data_folder, read_settings, shipped_file
-from disk.whole_writing import whole_file, whole_files, whole_folder, write_text
+import lazy_loader
 
-__all__ = [
-    "ContractError",
-    "FileHashes",
-    "NightError",
-    "OutsideError",
-    "PathLike",
-    "PresetError",
-    "data_folder",
-    "inside",
-    "is_partial",
-    "read_settings",
-    "remove_leftovers",
-    "sha256_of",
-    "shipped_file",
-    "whole_file",
-    "whole_files",
-    "whole_folder",
-    "write_text",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

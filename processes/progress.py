@@ -8,8 +8,6 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from typing import Protocol, Self, TextIO
 
-from tqdm import tqdm
-
 _SHARE = 0.05  # of the work, after which a line is due
 _SHORTEST_S, _LONGEST_S = 1.0, 30.0  # between two lines
 
@@ -122,6 +120,8 @@ def showing_progress(
     initial : units that were done before this work began.
     """
     if show and sys.stderr is not None and sys.stderr.isatty():
+        from tqdm import tqdm  # which the processes that read measurements need not load
+
         bar: AbstractContextManager[Progress] = tqdm(
             total=total, unit=unit, desc=description or None, initial=initial
         )

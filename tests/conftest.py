@@ -230,15 +230,18 @@ def four_shapes(make_dataset, variant):
 
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory):
-    """Folder with a dataset, a run and a report, made by the four commands as processes, for reading only."""
+    """Folder with a dataset, a run and a report, made by the four commands, for reading only.
+
+    night-render is a process of its own, with a worker.
+    """
     folder = tmp_path_factory.mktemp("pipeline")
     (folder / "small.toml").write_text(PRESET)
     data, run, report = folder / "data", folder / "run", folder / "report"
     done = [
-        night("night-gen", "scenes", data, "--preset", folder / "small.toml"),
-        night("night-render", data, "--lights", 128, "--device", "cpu"),
-        night("night-train", data, "--out", run, *TRAINING, "--device", "cpu"),
-        night("night-eval", run, data, "--split", "test", "--out", report, "--device", "cpu"),
+        night_here("night-gen", "scenes", data, "--preset", folder / "small.toml"),
+        night("night-render", data, "--lights", 128, "--workers", 1, "--device", "cpu"),
+        night_here("night-train", data, "--out", run, *TRAINING, "--device", "cpu"),
+        night_here("night-eval", run, data, "--split", "test", "--out", report, "--device", "cpu"),
     ]
     for command in done:
         assert command.returncode == 0, command.stderr

@@ -100,7 +100,10 @@ def test_a_finished_training_resumes_to_more_epochs_on_the_device_of_the_run(pip
 
 def test_the_device_of_a_training_preset_is_used_unless_another_is_given(pipeline, tmp_path):
     preset = tmp_path / "small.toml"
-    preset.write_text('[network]\nwidth = 2\n[run]\nmax_epochs = 1\ndevice = "cpu"\nprogress = false\n')
+    preset.write_text(
+        "[input.channels]\nbounce_images = false\n[network]\nwidth = 2\n"
+        '[run]\nmax_epochs = 1\ndevice = "cpu"\nprogress = false\n'
+    )
     for given, device in ((), "cpu"), (("--device", "auto"), "auto"):
         out = tmp_path / device
         done = night_here("night-train", pipeline.folder / "data", "--out", out, "--preset", preset, *given)

@@ -60,6 +60,7 @@ def test_a_command_without_its_extra_ends_with_the_line_that_installs_it(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_all_names_load_and_a_network_predicts_without_the_extras(tmp_path):
     wall = ExpectedWall.of_plane([-0.5, 0.1, 0.6], 40, 30, (20e6, 50e6, 60e6), 60.0)
     np.savez(tmp_path / "corner.npz", phasors=wall.direct, frequencies_hz=[20e6, 50e6, 60e6])

@@ -2,9 +2,10 @@
 
 import ast
 import graphlib
+from functools import cache
 
 import pytest
-from source_tree import ROOMS, imports, needed_by, sources
+from source_tree import ROOMS, Import, imports, imports_in, module_of, needed_by, sources
 
 BASEMENT = {"disk", "processes"}
 MAY_IMPORT = {
@@ -141,6 +142,7 @@ def wing_of(module):
     return max((wing for wing in WINGS if f"{module}.".startswith(f"{wing}.")), key=len)
 
 
+@cache
 def arrows():
     """(importing, imported) modules of the program, each pair once."""
     return sorted(
@@ -226,52 +228,33 @@ def test_what_is_light_needs_no_machinery(module, machinery):
 
 def test_each_heavy_library_lives_in_its_one_place():
     wrong = [
-        f"{file} imports {module}"
-        for file, tree in sources().items()
-        for module in imported_names(tree)
-        if not file.startswith(HOME.get(module.split(".")[0], ""))
+        f"{file} imports {each.module}"
+        for file in sources()
+        for each in imports()[module_of(file)]
+        if not file.startswith(HOME.get(each.module.split(".")[0], ""))
     ]
     assert wrong == []
 
 
-def imported_names(tree):
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield node.module
-
-
-def imports_of_blender(tree):
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
-        if any(name.startswith("scenegen.making.blender") for name in names):
-            yield node
+def imports_of_blender(found):
+    return {each for each in found if each.module.startswith("scenegen.making.blender")}
 
 
 def test_the_blender_files_are_imported_late_and_by_night_gen_alone():
     users = [
-        (file, node)
-        for file, tree in sources().items()
+        (file, each)
+        for file in sources()
         if not file.startswith(BLENDER_FILES)
-        for node in imports_of_blender(tree)
+        for each in imports_of_blender(imports()[module_of(file)])
     ]
-    assert [(file, node.module) for file, node in users] == [
-        ("scenegen/making/datasets.py", "scenegen.making.blender")
-    ]
-    assert users[0][1].col_offset > 0  # inside a function
+    assert users == [("scenegen/making/datasets.py", Import("scenegen.making.blender", when_loaded=False))]
 
 
 def test_blender_is_loaded_in_one_place():
     loading = [
         file
-        for file, tree in sources().items()
-        if {module.split(".")[0] for module in imported_names(tree)} & {"bpy", "bmesh", "mathutils"}
+        for file in sources()
+        if {each.module.split(".")[0] for each in imports()[module_of(file)]} & {"bpy", "bmesh", "mathutils"}
     ]
     assert loading == ["scenegen/making/blender_start.py"]  # this file first sets Blender's settings folder
 
@@ -287,4 +270,4 @@ def test_blender_is_loaded_in_one_place():
     ],
 )
 def test_every_way_to_import_a_blender_file_is_seen(line):
-    assert len(list(imports_of_blender(ast.parse(line)))) == 1
+    assert len(imports_of_blender(imports_in(ast.parse(line)))) == 1

@@ -11,7 +11,7 @@ from source_tree import ROOMS, ROOT, sources
 
 HEAVY = {"mitsuba", "drjit", "mitransient", "bpy", "torch"}
 PACKAGES = [room for room in ROOMS if f"{room}/__init__.py" in sources()]
-LAZY = ("scenegen", "itof", "render", "model")
+LAZY = ("disk", "scenegen", "itof", "render", "model")
 
 
 def loaded_by(code, tmp_path, **environment):
@@ -64,6 +64,11 @@ def test_a_capture_is_checked_without_a_network_a_file_library_or_pictures(tmp_p
     assert modules & {*HEAVY, "h5py", "matplotlib", "scipy.io"} == set()
 
 
+def test_the_process_that_reads_a_measurement_loads_little(tmp_path):
+    modules = loaded_by("import itof.files.measurement_child", tmp_path)
+    assert modules & {*HEAVY, "pydantic", "scipy", "tqdm"} == set()
+
+
 @pytest.mark.long
 def test_using_a_network_does_not_load_what_training_needs(finished_run, tmp_path):
     code = (
@@ -93,7 +98,7 @@ def test_a_lazy_package_offers_the_names_of_its_stub(package):
     assert sorted(module.__all__) == sorted(declared(stub))
     for name in module.__all__:
         home = getattr(getattr(module, name), "__module__", package)  # a constant has none
-        assert home.split(".")[0] in (package, "typing")
+        assert home.split(".")[0] in (package, "types", "typing")
 
 
 def declared(tree):

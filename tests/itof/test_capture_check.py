@@ -45,8 +45,10 @@ def sentence(phasor):
     return found[0].sentence, found[0].refused
 
 
-@pytest.mark.parametrize("offsets", [1.0, OFFSETS])
-@pytest.mark.parametrize("plane", [SLANTED, np.array([0.1, 0.05, 0.6]), np.array([-0.8, 0.0, 0.5])])
+@pytest.mark.parametrize(
+    ("plane", "offsets"),
+    [(SLANTED, OFFSETS), (np.array([0.1, 0.05, 0.6]), 1.0), (np.array([-0.8, 0.0, 0.5]), OFFSETS)],
+)
 def test_a_wall_is_found_from_nothing_with_any_phase_offsets(plane, offsets):
     wall = wall_of_plane(plane)
     fit, defects = see_wall(wall.direct * offsets, FREQUENCIES_HZ, FOV_DEG)
@@ -57,8 +59,6 @@ def test_a_wall_is_found_from_nothing_with_any_phase_offsets(plane, offsets):
 
 
 DEFECTS = {
-    "the phase falls with distance: conjugate?": lambda z: z.conj(),
-    "frequencies 20 and 60 MHz seem exchanged": lambda z: exchanged(z, 0, 2),
     "the frequencies seem to be in another order: 20, 50, 60 MHz look like 50, 60, 20 MHz": lambda z: z[
         ..., [1, 2, 0]
     ],
@@ -104,8 +104,14 @@ def test_a_wall_that_is_not_flat_is_told_from_errors_of_the_camera():
     assert "wiggling" in found[0].sentence
 
 
-@pytest.mark.parametrize("camera", ["opt8241", "mlx75027"])
-@pytest.mark.parametrize("plane", [SLANTED, np.array([0.1, -0.06, 1.2]), np.array([0.05, 0.0, 0.67])])
+@pytest.mark.parametrize(
+    ("camera", "plane"),
+    [
+        ("opt8241", SLANTED),
+        ("mlx75027", np.array([0.1, -0.06, 1.2])),
+        ("opt8241", np.array([0.05, 0.0, 0.67])),
+    ],
+)
 def test_the_waves_of_an_uncalibrated_camera_are_told_and_not_refused(camera, plane):
     wall = ExpectedWall.of_plane(plane, 40, 30, FREQUENCIES_HZ, FOV_DEG)
     z = [folded(load_sensor(camera), wall.direct[..., n], f) for n, f in enumerate(FREQUENCIES_HZ)]
@@ -227,18 +233,18 @@ def test_raw_frames_become_a_measurement_that_is_checked(frames):
     assert "must end in .npz, .h5, .hdf5" in refusal(*again, frames / "corner.txt")
 
 
-@pytest.mark.parametrize("number", range(5))
-def test_an_import_that_is_killed_at_any_moment_can_be_repeated(frames, number):
+def test_an_import_that_is_killed_at_any_moment_can_be_repeated(frames):
     out = frames / "there" / "corner.npz"
     sidecar, files = frames / "sidecar.toml", (frames / "frames.npz", frames / "empty.npz")
     import_capture(files[0], sidecar, out, bin_side=2, progress=False)
-    killed_before(
-        *(number, {"os.rename", "os.remove"}),
-        lambda: import_capture(files[1], sidecar, out, bin_side=2, progress=False),
-        below=out.parent,
-    )
-    import_capture(files[0], sidecar, out, bin_side=2, progress=False)
-    assert imported_fov_deg(out) is not None
+    for number in range(5):
+        killed_before(
+            *(number, {"os.rename", "os.remove"}),
+            lambda: import_capture(files[1], sidecar, out, bin_side=2, progress=False),
+            below=out.parent,
+        )
+        import_capture(files[0], sidecar, out, bin_side=2, progress=False)
+        assert imported_fov_deg(out) is not None
 
 
 def test_an_import_that_fails_leaves_the_earlier_one(frames, monkeypatch):
@@ -258,27 +264,20 @@ def test_an_import_that_fails_leaves_the_earlier_one(frames, monkeypatch):
     assert imported_fov_deg(out) is not None
 
 
-def test_a_capture_that_shows_no_wall_ends_with_exit_code_2_and_a_picture(frames):
-    said = refusal(
-        *("night-eval", "capture", "check", frames / "frames.npz", "--sidecar", frames / "sidecar.toml"),
-        *("--set", "phase_sign = -1", "--out", frames / "picture.png"),
-    )
-    assert said.endswith("no capture of a wall to predict from: the phase falls with distance: conjugate?")
-    assert (frames / "picture.png").is_file()
-
-
-def test_the_findings_of_a_refused_capture_are_printed_as_json_too(frames):
+def test_a_capture_that_shows_no_wall_ends_with_exit_code_2_its_findings_and_a_picture(frames):
     done = night_here(
         *("night-eval", "capture", "check", frames / "frames.npz", "--sidecar", frames / "sidecar.toml"),
-        *("--set", "phase_sign = -1", "--json"),
+        *("--set", "phase_sign = -1", "--out", frames / "picture.png", "--json"),
     )
     assert done.returncode == 2
     told = json.loads(done.stdout)
     assert told["refused"] is True
     assert [finding["code"] for finding in told["findings"]] == ["convention"]
-    assert done.stderr.startswith("Error: ")
-    assert done.stderr.strip().endswith("the phase falls with distance: conjugate?")
-    assert done.stderr.count("conjugate") == 1
+    said = " ".join(done.stderr.split())
+    assert said.startswith("Error: ")
+    assert said.endswith("no capture of a wall to predict from: the phase falls with distance: conjugate?")
+    assert said.count("conjugate") == 1
+    assert (frames / "picture.png").is_file()
 
 
 def test_a_measurement_of_another_program_needs_its_field_of_view(frames):

@@ -104,6 +104,7 @@ def judged(run_name, dataset, out):
     return json.loads((out / "metrics.json").read_text())["prediction"]["depth_mae_m"]["mean"]
 
 
+@pytest.mark.long
 def test_the_check_finds_nothing_wrong(example):
     for pair in example[1]:
         done = run("night-eval", "capture", "check", pair / "measurement.npz", "--json")
@@ -112,6 +113,7 @@ def test_the_check_finds_nothing_wrong(example):
         assert found["findings"] == []
 
 
+@pytest.mark.long
 def test_predictions_are_point_clouds_where_their_objects_are(example, tmp_path):
     made, pairs = example
     fov_deg = made.preset.camera.horizontal_fov_deg

@@ -35,10 +35,14 @@ def test_phases_of_noise_are_called_noise_by_check_and_import(tmp_path):
         import_capture(tmp_path / "frames.npz", sidecar, tmp_path / "out.npz", progress=False)
 
 
-@pytest.mark.parametrize("offsets", [1.0, OFFSETS])
 @pytest.mark.parametrize(
-    ("declared_mhz", "wrong", "true"),
-    [((20, 50, 65), 65, 60), ((25, 50, 60), 25, 20), ((20, 40, 60), 40, 50), ((20, 50, 120), 120, 60)],
+    ("declared_mhz", "wrong", "true", "offsets"),
+    [
+        ((20, 50, 65), 65, 60, OFFSETS),
+        ((25, 50, 60), 25, 20, OFFSETS),
+        ((20, 40, 60), 40, 50, 1.0),
+        ((20, 50, 120), 120, 60, 1.0),
+    ],
 )
 def test_a_frequency_that_does_not_fit_the_others_is_named(declared_mhz, wrong, true, offsets):
     declared_hz = tuple(1e6 * each for each in declared_mhz)

@@ -49,8 +49,8 @@ def test_valid_measurements_are_not_suspected(scenes, request):
     wall, measurements = request.getfixturevalue(scenes)
     for seed, z in enumerate(measurements):
         grain = noise(z.shape, seed)
-        for valid in (z, 1e4 * z, z * (1 + 0.01 * grain), z + 0.01 * np.abs(z).mean() * grain):
-            assert judged(valid, wall) == ([], "")
+        other = (1e4 * z, z * (1 + 0.01 * grain), z + 0.01 * np.abs(z).mean() * grain)[seed % 3]
+        assert judged(z, wall) == judged(other, wall) == ([], "")
 
 
 @pytest.mark.parametrize("name", DEFECTS | IMAGE_DEFECTS)

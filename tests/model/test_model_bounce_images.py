@@ -1,5 +1,6 @@
 """The images of the hidden scene that a linear inverse of the three bounces makes for a network."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 from night_commands import night_here
 from safetensors.torch import load_file
 from synthetic_dataset import write_synthetic_dataset
-from training_runs import assert_same_end, settings
+from training_runs import assert_same_end, settings, train_on_one_thread
 
 from disk import PresetError
 from itof import pixel_rays
@@ -46,6 +47,12 @@ def images(dataset):
     corner = known_corner(dataset.scene(dataset.ids()[0])), wall_view(dataset)
     found.load_state_dict(bounce_inverse(found, *corner, INPUTS, (MEAN_M, SPREAD_M)))
     return found
+
+
+@pytest.fixture(scope="module")
+def begun(dataset, tmp_path_factory):
+    """Run folder of one epoch of a network with images; for reading only."""
+    return train_on_one_thread(dataset, tmp_path_factory.mktemp("begun") / "run", **SHOWN | {"max_epochs": 1})
 
 
 def channels_of(dataset, pixel, depth_m, width=WIDTH, height=HEIGHT, size_m=0.2):
@@ -99,13 +106,6 @@ def test_images_are_linear_in_the_channels_and_flip_with_them(dataset, images):
     assert float((flipped.flip(-2) - once).norm() / once.norm()) < 0.01
 
 
-def test_the_inverse_is_the_same_to_the_bit_each_time(dataset, images):
-    corner = known_corner(dataset.scene(dataset.ids()[0])), wall_view(dataset)
-    again = bounce_inverse(images, *corner, INPUTS, (MEAN_M, SPREAD_M))
-    for name, array in images.state_dict().items():
-        assert torch.equal(again[name], array), name
-
-
 def test_images_of_another_size_show_the_same(dataset, images):
     channels = channels_of(dataset, (20, 13), MEAN_M, 80, 60)
     halved = torch.nn.functional.avg_pool2d(channels, 2)
@@ -126,10 +126,9 @@ def test_a_network_without_weights_for_the_images_is_the_network_without_them(im
     assert torch.allclose(shown(channels), plain(channels), atol=1e-5)
 
 
-def test_a_run_keeps_the_images_of_its_corner_and_goes_on_to_the_same_weights(dataset, tmp_path):
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
+def test_a_run_keeps_the_images_of_its_corner_and_goes_on_to_the_same_weights(dataset, begun, tmp_path):
+    whole, parts = tmp_path / "whole", shutil.copytree(begun, tmp_path / "parts")
     train(dataset, whole, settings(**SHOWN))
-    train(dataset, parts, settings(**SHOWN, max_epochs=1))
     train(dataset, parts, settings(**SHOWN), resume=True)
     assert_same_end(whole, parts)
     assert torch.equal(
@@ -137,9 +136,10 @@ def test_a_run_keeps_the_images_of_its_corner_and_goes_on_to_the_same_weights(da
     )
 
 
-def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
-    train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
-    predictor, shards, corner = load(tmp_path / "run"), open_shards(dataset), wall_view(dataset)
+def test_the_images_of_training_scenes_have_the_variance_1_and_the_inverse_is_the_same_each_time(
+    dataset, begun
+):
+    predictor, shards, corner = load(begun), open_shards(dataset), wall_view(dataset)
     inputs, rows = predictor.config.inputs, shards.rows("train")
     phasor = shards.read(rows).phasors
     wall = corner.expected_wall(shards.reference, HZ)
@@ -152,9 +152,9 @@ def test_the_images_of_training_scenes_have_the_variance_1(dataset, tmp_path):
     assert torch.equal(images.expand, bare["expand"])
 
 
-def test_the_onnx_file_of_a_network_with_images_is_compared_with_torch_and_written(dataset, tmp_path):
-    train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
-    done = night_here("night-eval", "export", tmp_path / "run", "--out", tmp_path / "model.onnx")
+@pytest.mark.long
+def test_the_onnx_file_of_a_network_with_images_is_compared_with_torch_and_written(begun, tmp_path):
+    done = night_here("night-eval", "export", begun, "--out", tmp_path / "model.onnx")
     assert done.returncode == 0, done.stderr  # it refuses a file that computes something else
 
 
@@ -178,10 +178,9 @@ def test_images_need_residual_channels_and_one_corner(tmp_path):
         train(many, tmp_path / "run", settings(**SHOWN))
 
 
-def test_a_run_with_images_cannot_be_resumed_or_started_from_without_them(dataset, tmp_path):
-    train(dataset, tmp_path / "run", settings(**SHOWN, max_epochs=1))
+def test_a_run_with_images_cannot_be_resumed_or_started_from_without_them(dataset, begun, tmp_path):
     other = settings(**SHOWN | {"bounce_images": False})
     with pytest.raises(RunError, match="bounce_images"):
-        train(dataset, tmp_path / "run", other, resume=True)
+        train(dataset, begun, other, resume=True)
     with pytest.raises(RunError, match="bounce_images is False"):
-        train(dataset, tmp_path / "new", replace(other), start_from=tmp_path / "run")
+        train(dataset, tmp_path / "new", replace(other), start_from=begun)

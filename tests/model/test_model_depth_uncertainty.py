@@ -81,6 +81,7 @@ def test_the_loss_is_lowest_where_the_expected_error_is_the_mean_error_and_moves
     torch.testing.assert_close(loss - rest, 1 + mean.mean())
 
 
+@pytest.mark.long
 def test_the_head_finds_which_pixels_have_large_errors():
     """The target is noise of a size that the input says: the expected error is its mean absolute value."""
     rng = torch.Generator().manual_seed(1)
@@ -124,19 +125,17 @@ def test_a_network_with_uncertainty_begins_as_the_one_without(block):
     assert len(one.independent_parts) == 1
 
 
-@pytest.mark.parametrize("seed", [1, 4])  # with 4, the head is over-confident in later epochs
-def test_everything_else_is_trained_and_kept_as_without_uncertainty(closed_form_scenes, tmp_path, seed):
+def test_everything_else_is_trained_and_kept_as_without_uncertainty(closed_form_scenes, tmp_path):
     ended = []
     for name, chosen in (("plain", PLAIN), ("unsure", UNSURE)):
-        longer = {"learning_rate": 1e-3, "max_epochs": 16, "seed": seed}
+        longer = {"learning_rate": 1e-3, "max_epochs": 16, "seed": 4}  # whose head is over-confident later
         ended.append(train(closed_form_scenes, tmp_path / name, settings(**chosen | longer)))
     assert ended[0].best_epoch == ended[1].best_epoch
     history = read_history(tmp_path / "unsure")
     losses = np.array(history["validation_loss"]) - np.array(history["validation_uncertainty"])
     np.testing.assert_allclose(losses, read_history(tmp_path / "plain")["validation_loss"], rtol=1e-9)
     assert not any(read_history(tmp_path / "plain")["validation_uncertainty"])
-    if seed == 4:
-        assert np.argmin(history["validation_loss"]) != np.argmin(losses)
+    assert np.argmin(history["validation_loss"]) != np.argmin(losses)
     one, other = (load_file(tmp_path / name / "best.safetensors") for name in ("plain", "unsure"))
     assert all(torch.equal(weight, other[name]) for name, weight in one.items())
     assert {name.split(".")[0] for name in other.keys() - one.keys()} == {"uncertainty_head"}

@@ -40,27 +40,20 @@ def forget_list_of_files(report):
     (report / "metrics.json").write_text(json.dumps(metrics))
 
 
-@pytest.fixture(scope="module")
-def judged(finished_run, closed_form_scenes, tmp_path_factory):
-    """A report of the validation scenes, and its folder; for reading only."""
-    folder = tmp_path_factory.mktemp("reports") / "report"
-    return judge(finished_run, closed_form_scenes, folder, split="validation"), folder
-
-
 @pytest.mark.long
-def test_evaluation_over_many_pieces_is_that_over_one(judged, finished_run, tmp_path, monkeypatch):
+def test_evaluation_over_many_pieces_is_that_over_one(judged_run, finished_run, tmp_path, monkeypatch):
     monkeypatch.setattr("model.data.pieces.PIECE_BYTES", 2 * RowLayout(24, 14, 3).row_bytes)
     pieces = write_synthetic_dataset(tmp_path / "data", count=12)
-    many = judge(finished_run, pieces, tmp_path / "many", split="validation")
+    many = judge(finished_run, pieces, tmp_path / "many", split="train")
     assert len(open_shards(pieces).manifest.pieces) == 6
-    assert many == judged[0]
+    assert many == judged_run[0]
 
 
 @pytest.mark.long
-def test_point_clouds_of_the_truth_lie_at_its_depth_on_the_pixels_rays(judged, closed_form_scenes):
+def test_point_clouds_of_the_truth_lie_at_its_depth_on_the_pixels_rays(judged_run, closed_form_scenes):
     shards = open_shards(closed_form_scenes)
-    row = shards.rows("validation")[0]
-    cloud = trimesh.load(judged[1] / "pointclouds" / f"{shards.ids([row])[0]}_gt.ply")
+    row = shards.rows("train")[0]
+    cloud = trimesh.load(judged_run[1] / "pointclouds" / f"{shards.ids([row])[0]}_gt.ply")
     truth = shards.read([row])
     mask = truth.mask[0] > 0
     height, width = mask.shape
@@ -70,9 +63,9 @@ def test_point_clouds_of_the_truth_lie_at_its_depth_on_the_pixels_rays(judged, c
 
 
 @pytest.fixture
-def earlier_report(judged, tmp_path):
+def earlier_report(judged_run, tmp_path):
     """Copy of that report, to be replaced."""
-    return shutil.copytree(judged[1], tmp_path / "report")
+    return shutil.copytree(judged_run[1], tmp_path / "report")
 
 
 @pytest.mark.long
@@ -143,7 +136,7 @@ def test_a_file_that_the_user_adds_while_a_report_is_made_stays(
 def test_a_report_replaces_one_of_version_0_1(finished_run, closed_form_scenes, earlier_report):
     before = contents(earlier_report)
     forget_list_of_files(earlier_report)
-    judge(finished_run, closed_form_scenes, earlier_report, split="validation")
+    judge(finished_run, closed_form_scenes, earlier_report, split="train")
     assert contents(earlier_report) == before
 
 

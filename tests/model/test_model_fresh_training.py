@@ -37,26 +37,22 @@ def rendering(preset):
     return Rendering(FreshScenes(preset).with_seed(5), {}, WIDTH, HEIGHT, 0.1, "cpu", 1)
 
 
-@pytest.fixture
-def workers(rendering):
-    """Workers, ended after the test; the value is a function from their number."""
-    made = []
-
-    def start(count):
-        made.append(FreshWorkers(rendering, count))
-        return made[-1]
-
-    yield start
-    for each in made:
-        each.close()
+@pytest.fixture(scope="module")
+def worker(rendering):
+    """One worker, which takes seconds to start."""
+    alone = FreshWorkers(rendering, 1)
+    yield alone
+    alone.close()
 
 
 def lists(count, size=3):
     return iter([list(range(start, start + size)) for start in range(0, count * size, size)])
 
 
-def test_scenes_come_in_order_with_the_same_bits_from_one_worker_or_two(workers, rendering):
-    one, two = (list(workers(count).results(lists(4))) for count in (1, 2))
+def test_scenes_come_in_order_with_the_same_bits_from_one_worker_or_two(worker, rendering):
+    pair = FreshWorkers(rendering, 2)
+    one, two = (list(workers.results(lists(4))) for workers in (worker, pair))
+    pair.close()
     assert [block.rows for block in one] == [(0, 1, 2), (3, 4, 5), (6, 7, 8), (9, 10, 11)]
     for block, other in zip(one, two, strict=True):
         assert block.rows == other.rows
@@ -73,9 +69,8 @@ def test_a_stream_is_that_of_its_seed_and_of_no_dataset(preset):
     assert first.hidden_objects != scenes.scene(0, {}).hidden_objects
 
 
-def test_a_killed_worker_is_replaced_and_no_scene_is_lost(workers):
-    running = workers(1)
-    results = running.results(lists(5))
+def test_a_killed_worker_is_replaced_and_no_scene_is_lost(worker):
+    results = worker.results(lists(5))
     first = next(results)
     for child in psutil.Process().children(recursive=True):
         if "spawn_main" in " ".join(child.cmdline()):
@@ -92,9 +87,9 @@ def test_a_corner_without_light_is_named_once(preset):
         rendering.rows(rendering.light(), [0, 1])
 
 
-def test_a_feed_goes_on_at_any_batch_and_gives_each_process_its_part(workers, preset):
+def test_a_feed_goes_on_at_any_batch_and_gives_each_process_its_part(worker):
     def batches(skip, processes, epoch=1):
-        feed = FreshFeed(workers(1), 10, 2, WIDTH * HEIGHT, lambda block: block, processes)
+        feed = FreshFeed(worker, 10, 2, WIDTH * HEIGHT, lambda block: block, processes)
         _, found = feed.epoch(epoch, torch.Generator(), 4, skip)
         return list(found)
 
@@ -112,6 +107,7 @@ def test_a_feed_goes_on_at_any_batch_and_gives_each_process_its_part(workers, pr
     assert [row for batch in second for row in batch.rows] == list(range(10, 20))
 
 
+@pytest.mark.long
 def test_an_interrupted_training_ends_with_the_same_weights(closed_form_scenes, preset, tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     train(closed_form_scenes, whole, settings(**FEW), fresh=preset)

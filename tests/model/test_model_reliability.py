@@ -17,9 +17,19 @@ from model.prediction.expected_error import expected_mae_m
 from model.prediction.predictor import load
 
 FREQUENCY_HZ = 20e6
-PROBABLE = {"target": "mask+depth", "width": 4, "batch_size": 4, "max_epochs": 2}
+DOUBTING = {"target": "mask+depth", "uncertainty": True, "mask_threshold": 0.1}
+DOUBTING |= {"width": 4, "batch_size": 4, "max_epochs": 2}
 
 pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def doubting(closed_form_scenes, tmp_path_factory):
+    """A run that predicts probabilities and errors, a report of its training scenes, and its folder."""
+    folder = tmp_path_factory.mktemp("doubting")
+    run = train_on_one_thread(closed_form_scenes, folder / "run", **DOUBTING)
+    options = {"split": "train", "device": "cpu", "progress": False}
+    return run, evaluate(run, closed_form_scenes, folder / "report", **options), folder / "report"
 
 
 def test_the_curve_counts_the_pixels_of_every_probability():
@@ -67,24 +77,21 @@ def test_a_network_whose_probabilities_hold_expects_the_error_that_it_makes():
     assert expected_mae_m(sure) == pytest.approx(0, abs=1e-12)
 
 
-def test_the_report_of_a_network_with_probabilities_has_them(closed_form_scenes, tmp_path, shards):
-    run = train_on_one_thread(closed_form_scenes, tmp_path / "run", **PROBABLE)
-    report = evaluate(
-        run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
-    )
-    content = json.loads((tmp_path / "report" / "metrics.json").read_text())
+def test_the_report_of_a_network_with_probabilities_has_them(doubting, shards):
+    run, report, out = doubting
+    content = json.loads((out / "metrics.json").read_text())
     block = shards.read(shards.rows("train"))
     assert sum(content["reliability"]["pixels"]) == block.mask.size
     shown = np.dot(content["reliability"]["pixels"], content["reliability"]["observed"])
     assert shown == pytest.approx(block.mask.sum())
     predictions = load(run, "cpu").predict(block.phasors)
-    with (tmp_path / "report" / "metrics.csv").open(newline="") as stream:
+    with (out / "metrics.csv").open(newline="") as stream:
         found = [float(line["expected_mae_m"]) for line in csv.DictReader(stream)]
     np.testing.assert_allclose(found, [expected_mae_m(predictions[i]) for i in range(len(found))], rtol=1e-5)
     assert content["expected_mae_m"]["mean"] == pytest.approx(np.mean(found))
     assert "expected by the network" in report.table
     assert {chart.name for chart in uncertainty_charts(report)} == {"reliability", "expected_mae"}
-    assert (tmp_path / "report" / "figures" / "reliability.png").is_file()
+    assert (out / "figures" / "reliability.png").is_file()
 
 
 def test_expected_errors_of_the_depth_are_compared_where_the_object_was_found():
@@ -113,20 +120,16 @@ def test_expected_errors_of_the_depth_are_compared_where_the_object_was_found():
     assert unexpected.curve() is None
 
 
-def test_the_report_of_a_network_with_uncertainty_has_the_errors(closed_form_scenes, tmp_path, shards):
-    chosen = PROBABLE | {"uncertainty": True, "mask_threshold": 0.1}
-    run = train_on_one_thread(closed_form_scenes, tmp_path / "run", **chosen)
-    report = evaluate(
-        run, closed_form_scenes, tmp_path / "report", split="train", device="cpu", progress=False
-    )
-    found = json.loads((tmp_path / "report" / "metrics.json").read_text())["depth_reliability"]
+def test_the_report_of_a_network_with_uncertainty_has_the_errors(doubting, shards):
+    run, report, out = doubting
+    found = json.loads((out / "metrics.json").read_text())["depth_reliability"]
     block = shards.read(shards.rows("train"))
     prediction = load(run, "cpu").predict(block.phasors)
     on_object = prediction.mask & (block.mask > 0)
     assert sum(found["pixels"]) == on_object.sum() > 0
     assert found["mean_expected_m"] == pytest.approx(prediction.depth_error_m[on_object].mean(), rel=1e-5)
-    assert (tmp_path / "report" / "figures" / "depth_error.png").is_file()
-    page = (tmp_path / "report" / "index.html").read_text()
+    assert (out / "figures" / "depth_error.png").is_file()
+    page = (out / "index.html").read_text()
     assert f"{100 * found['mean_expected_m']:.1f} cm are expected" in " ".join(page.split())
     assert [chart.name for chart in depth_error_charts(report)] == ["depth_error"]
 

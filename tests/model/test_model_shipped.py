@@ -56,7 +56,9 @@ def test_the_wheel_has_them(name):
     assert files[f"share/night/weights/{name}"] == [f"data/weights/{name}/*"]
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "night-40x30" else pytest.mark.long) for name in RUNS]
+)
 def test_the_command_finds_it_by_name(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     predictor = load(name, "cpu")

@@ -11,7 +11,7 @@ from model.prediction.predictor import load
 from model.training.uncertainty_fit import LogitCount, logit_factor
 
 PROBABLE = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2, "block": 2}
-PROBABLE |= {"max_epochs": 15, "learning_rate": 2e-3, "average_flip": True}
+PROBABLE |= {"max_epochs": 5, "learning_rate": 2e-3, "average_flip": True}
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -47,26 +47,23 @@ def methods(records):
 def test_files_do_not_depend_on_the_other_scenes_of_a_job(copied):
     ids = copied.ids()
     found = []
-    for jobs in ([ids], [[each] for each in ids], [ids[3:], ids[:3]]):
+    for jobs in ([ids], [[each] for each in reversed(ids)]):
         one = renderer(copied, error=0.05)
         records = {}
         for job in jobs:
             records |= dict(zip(job, one.render_all(job), strict=True))
         assert methods(records.values()) == ["batched"] * 5
         found.append({each: (records[each].files, records[each].attributes) for each in ids})
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
 
 
 def test_phasors_and_ground_truth_are_those_of_many_lights(copied):
-    images = []
+    images, ids = [], copied.ids()[:3]
     for settings in ({"error": 0.02}, {"method": "many-light", "error": 0.01}):
-        records = list(renderer(copied, **settings).render_all(copied.ids()))
+        records = list(renderer(copied, **settings).render_all(ids))
         images.append(
-            [read_image(copied.render_folder(each) / MEASUREMENT_FILE) for each in copied.ids()]
-            + [
-                DepthMap.of_image(read_image(copied.render_folder(each) / GROUND_TRUTH_FILE))
-                for each in copied.ids()
-            ]
+            [read_image(copied.render_folder(each) / MEASUREMENT_FILE) for each in ids]
+            + [DepthMap.of_image(read_image(copied.render_folder(each) / GROUND_TRUTH_FILE)) for each in ids]
         )
         errors = [float(record.attributes["hidden_error"]) for record in records]
         assert max(errors) <= settings["error"]

@@ -226,7 +226,7 @@ def rolled(width, height):
 @pytest.mark.parametrize(
     ("make", "hertz"),
     [
-        pytest.param(rolled, (300e6,), id="rolled"),
+        pytest.param(rolled, (300e6,), id="rolled", marks=pytest.mark.long),
         pytest.param(lambda *size: behind_a_gap(*size, 0.1), (60e6,), id="gap"),
     ],
 )
@@ -297,12 +297,12 @@ def test_enough_nodes_are_taken_for_the_light_of_a_plane_towards_its_horizon(pha
 
 
 def test_parts_of_pixels_have_their_area_also_at_corners_of_walls():
-    area = np.zeros((2, 1200))
+    area = np.zeros((2, 432))
     for seed in (1, 2, 4, 10):
-        corner = random_corner(seed, width=40, height=30)
+        corner = random_corner(seed, width=24, height=18)
         corners = Corners.of([corner])
-        _, weights, pixel = nodes_of_lines(corners, crossed_pixels(corners, 40, 30), 40, 30, 2)
-        area[0] = np.bincount(pixel, weights, 1200)
-        _, weights, pixel, edges = free_nodes(corner, 40, 30, 1, 1)
-        area[1] = np.bincount(pixel, weights, 1200)
+        _, weights, pixel = nodes_of_lines(corners, crossed_pixels(corners, 24, 18), 24, 18, 2)
+        area[0] = np.bincount(pixel, weights, 432)
+        _, weights, pixel, edges = free_nodes(corner, 24, 18, 1, 1)
+        area[1] = np.bincount(pixel, weights, 432)
         assert len(edges) == 0 or np.abs(area[0] - area[1])[edges].max() < 1e-9

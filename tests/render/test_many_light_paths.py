@@ -24,7 +24,10 @@ from many_light_scenes import (
     [(SMALL, 1024), pytest.param(LAYOUT, 2**15, marks=pytest.mark.thorough)],
     ids=["small", "large"],
 )
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.long if name in ("sphere", "cube") else ()) for name in SHAPES],
+)
 def test_many_lights_agree_with_the_path_tracer_within_its_noise(four_shapes, variant, name, layout, lights):
     image = measure(four_shapes[name], variant, lights=lights, layout=layout)
     # 12 x 2048 paths a pixel know the sum of the large image to 0.4 % (1 % of the concave plane's, which

@@ -87,7 +87,7 @@ def test_files_have_the_phasors_of_mitsubas_material(make_dataset, variant, max_
         "relay_wall": {"roughness": [0.4], **darkening},
     }
     dataset = make_dataset(preset)
-    options = ManyLightOptions(lights=512)
+    options = ManyLightOptions(lights=128)
     Renderer(dataset, RenderSettings(options=options, device="cpu", max_bounces=max_bounces)).render("000000")
     image = read_image(dataset.render_folder("000000") / "itof.exr")
     frequencies_hz = dataset.preset.itof.frequencies_hz

@@ -39,8 +39,12 @@ def module_of(file: str) -> str:
 @cache
 def imports() -> dict[str, list[Import]]:
     """What each module of the program imports, from anywhere."""
-    trees = {module_of(file): tree for file, tree in sources().items()}
-    return {module: list(_imports(tree, set(trees))) for module, tree in trees.items()}
+    return {module_of(file): imports_in(tree) for file, tree in sources().items()}
+
+
+def imports_in(tree: ast.Module) -> list[Import]:
+    """What the code of a syntax tree imports."""
+    return list(_imports(tree, {module_of(file) for file in sources()}))
 
 
 def _imports(node: ast.AST, ours: set[str], when_loaded: bool = True) -> Iterator[Import]:
@@ -51,10 +55,11 @@ def _imports(node: ast.AST, ours: set[str], when_loaded: bool = True) -> Iterato
         for alias in node.names:
             submodule = f"{node.module}.{alias.name}"
             yield Import(submodule if submodule in ours else str(node.module), when_loaded)
-    is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+    is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     for_types = node.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test) else []
     for child in ast.iter_child_nodes(node):
-        yield from _imports(child, ours, when_loaded and not is_function and child not in for_types)
+        if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):  # expressions import nothing
+            yield from _imports(child, ours, when_loaded and not is_function and child not in for_types)
 
 
 def needed_by(module: str) -> set[str]:

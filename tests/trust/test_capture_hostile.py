@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 
 import h5py
 import numpy as np
@@ -25,13 +26,20 @@ PHASOR = wall_of_plane().direct
 RAW = taps_of(PHASOR, steps(4), steps(2))[None]
 
 
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory):
+    """Folder with a measurement file, its record, and what it was made of; for reading only."""
+    folder = tmp_path_factory.mktemp("imported")
+    np.savez(folder / "frames.npz", raw=np.concatenate([RAW, RAW]))
+    sidecar = write_sidecar(folder / "sidecar.toml")
+    import_capture(folder / "frames.npz", sidecar, folder / "corner.npz", progress=False)
+    return folder
+
+
 @pytest.fixture
-def corner(tmp_path):
-    """A measurement file with its record."""
-    np.savez(tmp_path / "frames.npz", raw=np.concatenate([RAW, RAW]))
-    sidecar = write_sidecar(tmp_path / "sidecar.toml")
-    import_capture(tmp_path / "frames.npz", sidecar, tmp_path / "corner.npz", progress=False)
-    return tmp_path / "corner.npz"
+def corner(imported, tmp_path):
+    """A measurement file with its record, to be changed."""
+    return shutil.copytree(imported, tmp_path, dirs_exist_ok=True) / "corner.npz"
 
 
 # The same file twice
