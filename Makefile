@@ -46,13 +46,14 @@ fuzz: setup
 	NIGHT_FUZZ_INPUTS=500 NIGHT_FUZZ_KILLS=40 NIGHT_FUZZ_TABLE=fuzz.md $(FUZZ)
 
 # Scenes, renders and training go on where an interrupted demo stopped; `make clean` starts over.
-# First a prediction by the network that comes with NIGHT, of a scene that is made and rendered for it.
+# First a prediction by the network that comes with NIGHT, of a scene that is made and rendered for it, with its
+# transient. A training needs phasors only.
 demo: setup
 	$(BIN)/night-gen scenes $(DEMO)/first --preset demo --count 1 --seed 7
-	$(BIN)/night-render $(DEMO)/first --product itof
+	$(BIN)/night-render $(DEMO)/first
 	$(BIN)/night-eval predict night-40x30 $(DEMO)/first/renders/000000/itof.exr --out $(DEMO)/first_prediction
 	$(BIN)/night-gen scenes $(DEMO)/dataset --preset demo
-	$(BIN)/night-render $(DEMO)/dataset --workers 2
+	$(BIN)/night-render $(DEMO)/dataset --product itof --workers 2
 	$(BIN)/night-train $(DEMO)/dataset --out $(DEMO)/run --preset demo $(if $(wildcard $(DEMO)/run/run.json),--resume)
 	$(BIN)/night-eval $(DEMO)/run $(DEMO)/dataset --split test --out $(DEMO)/report
 

@@ -3,8 +3,7 @@
 The camera of --sensor is in front of the first test scenes with a single solid. It has contrasts and waves of
 its own; the measurement is taken over a capture of the empty corner by the same camera, with
 eight times the exposures. The solids, the corner and the depth map to start from are as in
-`night-eval refine`. *accepted* are fits that explain all but --largest-misfit of the hidden light and, where
-noise or what is left is more than 1 % of it, are near the network's depth map.
+`night-eval refine`. Where a fit is not accepted, the network's depth map counts.
 
 Run:
 

@@ -2,9 +2,8 @@
 
 Each row changes the measurements of the first test scenes with a single solid, or what is known of them. The
 measurements are those of the dataset; the wall is assumed elsewhere. Noise is Gaussian in each component,
-relative to the amplitude at the first frequency. *accepted* are fits that explain all but 1 % of the hidden
-light and, where the noise is more than that, are near the network's depth map (`Refined.is_right`); where a
-fit is not accepted, the network's depth map counts.
+relative to the amplitude at the first frequency. Where a fit is not accepted (`Refined.is_right`), the
+network's depth map counts.
 
 Run:
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -32,11 +34,15 @@ def light_figure(
         phases = values[: len(hz) * len(observed.weight)].reshape(len(hz), -1) / observed.weight
         image[:, observed.where] = 1e3 * phases
     limit = max(float(np.nanpercentile(np.abs(images[0]), _SHOWN_SHARE)), 1e-3)
+    left = max(float(np.nanpercentile(np.abs(images[2]), _SHOWN_SHARE)), 1e-3 * limit)
+    times = max(10 ** math.floor(math.log10(limit / left)), 1)  # so that its pattern is seen
+    images[2] *= times
+    names = (*_ROWS[:2], _ROWS[2] if times == 1 else f"{_ROWS[2]}, {times} times")
     size = (1.0 + 2.6 * len(hz), 1.6 + 2.6 * len(_ROWS) * rows / columns)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(_ROWS), len(hz), squeeze=False)
-    for panels, name, row in zip(grid, _ROWS, images, strict=True):
+    for panels, name, row in zip(grid, names, images, strict=True):
         for axes, image in zip(panels, row, strict=True):
             drawn = axes.imshow(image, vmin=-limit, vmax=limit, cmap="RdBu_r", interpolation="nearest")
         panels[0].set_ylabel(name, fontsize=11)
