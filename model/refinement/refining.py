@@ -24,6 +24,7 @@ from scenegen.shapes import Shape
 
 _SAME_M = 0.001  # two fits whose mirror images differ by less are one
 _CERTAIN = 0.004  # a fit that leaves less unexplained ends the search
+_LIKELY = 2.5  # so does one with less evidence against it
 _MORE_THAN_NOTHING = 50.0  # evidence that a fit needs, for its dozen unknowns and many starts
 _ROUGHNESS = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _MANY_STEPS, _FINE_STEPS, _WALLS = 10, 4, 2
@@ -197,7 +198,7 @@ class _Search:
         for effort in _ROUNDS:
             found = self._sorted([*best, *self._round(effort, walls, rng)])
             best = self._different(found, len(found))
-            if best and best[0].unexplained <= _CERTAIN:
+            if best and (best[0].unexplained <= _CERTAIN or self.prior.against(best[:1])[0] <= _LIKELY):
                 break
         return best
 
