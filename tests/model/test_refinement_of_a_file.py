@@ -73,7 +73,8 @@ def test_place_size_and_reflectance_of_a_solid_are_found_from_a_file(refined, da
         read_image(dataset.render_folder("000001") / "itof.exr").phasors()[0]
     )
     errors_m = [np.abs(each.depth - truth.depth).mean() for each in (written, network)]
-    assert errors_m[0] < min(errors_m[1], 0.005)
+    # Each wrong pixel at the edge costs 0.25 cm, and a size that is known to 3 % has a few of them.
+    assert errors_m[0] < 0.7 * errors_m[1]
 
 
 def test_the_picture_shows_what_the_solid_leaves(refined):
