@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from model.refinement.least_squares import Fit, jacobians
 from model.refinement.search import Sketch
-from model.refinement.unknowns import Unknown, changed
+from model.refinement.unknowns import Fitted, Unknown, changed
 
 Floats = NDArray[np.float64]
 USUAL_MISFIT: Final = 0.004  # ε, of the right solid
@@ -84,13 +84,13 @@ class Spread:
     expected_mae_m: float
 
     @classmethod
-    def of_fits(cls, fits: Sequence[Fit], prior: Prior, fine: Sketch, *, sizes: bool, seed: int) -> Spread:
+    def of_fits(cls, fits: Sequence[Fit], prior: Prior, fine: Sketch, fitted: Fitted, seed: int) -> Spread:
         """Of the first of some fits; the others are what the object may be instead.
 
         `fine` has the pixels of the image.
         """
         fit = fits[0]
-        ((unknowns, jacobian),) = jacobians([fit], roughness=True, sizes=sizes)
+        ((unknowns, jacobian),) = jacobians([fit], fitted)
         observed = fit.comparison.observed
         model = max(fit.unexplained, USUAL_MISFIT / 2) ** 2 * float(observed.values @ observed.values)
         normal = jacobian.T @ jacobian
@@ -112,7 +112,8 @@ class Spread:
     @property
     def freedom(self) -> float:
         """Misfit that these unknowns leave of errors of the model, over that which those of a pose leave."""
-        return math.sqrt(max(_SMOOTH - len(self.unknowns) - self.is_dim, 1) / (_SMOOTH - _OF_A_POSE))
+        count = sum(unknown.kind != "room" for unknown in self.unknowns) + self.is_dim
+        return math.sqrt(max(_SMOOTH - count, 1) / (_SMOOTH - _OF_A_POSE))
 
     def of(self, kind: str) -> Floats:
         """(n,) standard deviations of one kind of unknowns of the solid."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.light.corner_light import CornerLight, with_camera_at, with_wall_at
-from model.refinement.unknowns import Unknown, changed, unknowns
+from model.refinement.unknowns import Fitted, Unknown, changed, unknowns
 from model.refinement.wall_brightness import walls_as_bright
 from scenegen.scene import Scene
 
@@ -29,6 +29,7 @@ _DAMPING, _MORE, _LESS, _LEAST_DAMPING = 1e-2, 4.0, 0.2, 1e-5
 _REFLECTANCE = (0.01, 1.5)  # above 1: the model and its quadrature may be too dark
 _TRIALS = 4  # of larger damping, before it is a minimum
 _RIDGE: Final = 1e-12
+_POSES: Final = Fitted()
 
 
 @dataclass(frozen=True)
@@ -149,12 +150,11 @@ class _Going:
     has_ended: bool = False
 
 
-def fitted(
+def least_misfits(
     starts: Asked,
     *,
     steps: int,
-    roughness: bool = False,
-    sizes: bool = False,
+    fitted: Fitted = _POSES,
     enough: float = 1e-3,
 ) -> list[Fit]:
     """The nearest minimum of the misfit of each start, after at most so many steps.
@@ -162,8 +162,7 @@ def fitted(
     Parameters
     ----------
     starts : comparisons with the same rays and one engine.
-    roughness : whether the roughness of the relay wall is an unknown, too.
-    sizes : whether the extents of the objects are unknowns, too.
+    fitted : what is unknown besides poses.
     enough : stop when a step lowers the squared misfit by a smaller share.
     """
     if not starts:
@@ -172,7 +171,7 @@ def fitted(
     for _ in range(steps):
         going = [fit for fit in fits if not fit.has_ended]
         if going:
-            _step(going, roughness, sizes, enough)
+            _step(going, fitted, enough)
     return [
         Fit(
             *(fit.comparison, fit.candidate),
@@ -182,10 +181,10 @@ def fitted(
     ]
 
 
-def _step(fits: Sequence[_Going], roughness: bool, sizes: bool, enough: float) -> None:
+def _step(fits: Sequence[_Going], fitted: Fitted, enough: float) -> None:
     """One step of each fit: it takes the smallest of a few dampings that lowers its misfit."""
     trials = []
-    for fit, (numbers, jacobian) in zip(fits, _jacobians(fits, roughness, sizes), strict=True):
+    for fit, (numbers, jacobian) in zip(fits, jacobians(fits, fitted), strict=True):
         normal, slope = jacobian.T @ jacobian, jacobian.T @ fit.misfit
         least = _RIDGE * np.trace(normal) + np.finfo(float).tiny
         for trial in range(_TRIALS):
@@ -206,18 +205,9 @@ def _step(fits: Sequence[_Going], roughness: bool, sizes: bool, enough: float) -
                 break
 
 
-def jacobians(fits: Sequence[Fit], *, roughness: bool, sizes: bool) -> list[tuple[Sequence[Unknown], Floats]]:
-    """The unknowns of each fit, and (M, U) the derivatives of its values by them."""
-    misfit = misfits([(fit.comparison, fit.candidate) for fit in fits])
-    going = [_Going(fit.comparison, fit.candidate, each) for fit, each in zip(fits, misfit, strict=True)]
-    return _jacobians(going, roughness, sizes)
-
-
-def _jacobians(
-    fits: Sequence[_Going], roughness: bool, sizes: bool
-) -> list[tuple[Sequence[Unknown], Floats]]:
+def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[tuple[Sequence[Unknown], Floats]]:
     """The unknowns of each fit, and (M, U) the derivatives of its values by them: central differences."""
-    numbers = [unknowns(fit.candidate, roughness, sizes, fit.comparison.fine) for fit in fits]
+    numbers = [unknowns(fit.candidate, fitted, fit.comparison.fine) for fit in fits]
     moved = [
         (fit.comparison, changed(fit.candidate, [each], np.array([step])))
         for fit, own in zip(fits, numbers, strict=True)

@@ -51,8 +51,8 @@ def refine(
 
     Parameters
     ----------
-    room : where the middle wall is, and the material of the relay wall; its camera may be some decimetres and
-        degrees elsewhere. None: nothing hides anything.
+    room : where the walls and the camera are, and the material of the relay wall. The measurement shows how
+        far and how turned the camera is from the relay wall. None: nothing hides anything.
     objects : a preset with the shapes and extents of what may be there; None for all primitives.
     unknown : what of the object is fitted besides its pose; by default extents and reflectance, unless
         `objects` gives them.

@@ -14,10 +14,11 @@ from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
 from model.refinement.evidence import Prior, Spread, against_nothing
 from model.refinement.hidden_light import HiddenLight
-from model.refinement.least_squares import Asked, Comparison, Fit, fitted
+from model.refinement.least_squares import Asked, Comparison, Fit, least_misfits
 from model.refinement.light.corner_light import CornerLight
 from model.refinement.search import Sketch
 from model.refinement.settings import LARGEST_MISFIT
+from model.refinement.unknowns import Fitted
 from model.refinement.wall_brightness import walls_as_bright
 from scenegen.scene import HiddenObject, RelayWall, Scene
 from scenegen.shapes import Shape
@@ -179,7 +180,7 @@ def refined(
     depth_m = light.mirrored_depth_m([comparison.placed(candidate)], rays).reshape(height, width)
     depth_map = DepthMap.of_object(depth_m, depth_m > 0, prediction.frequency_hz)
     every = Sketch.of(*shown, columns=width)
-    spread = Spread.of_fits(fits, search.prior, every, sizes=family.fits_sizes, seed=seed)
+    spread = Spread.of_fits(fits, search.prior, every, search.fitted, seed)
     return Refined(fits[0], comparison.reflectance_of(candidate), spread, depth_map)
 
 
@@ -191,6 +192,11 @@ class _Search:
     fine: Comparison
     prior: Prior
     family: Family
+
+    @property
+    def fitted(self) -> Fitted:
+        """What is unknown at last."""
+        return Fitted(True, self.family.fits_sizes, room=not self.fine.knows_camera)
 
     def fits(self, rng: np.random.Generator) -> list[Fit]:
         """The best fits, the best first, each with the wall where it is behind its solid."""
@@ -212,11 +218,11 @@ class _Search:
 
     def _round(self, effort: _Effort, walls: Sequence[RelayWall], rng: np.random.Generator) -> list[Fit]:
         """The fits of a search that begins with one of some walls."""
-        sizes = self.family.fits_sizes
+        fitted = Fitted(roughness=True, sizes=self.family.fits_sizes)
         stepped = [fit for lit in self._lit(effort, walls, rng) for fit in lit[: effort.stepped]]
-        few = fitted(_starts(stepped), steps=effort.few, roughness=True, sizes=sizes)
+        few = least_misfits(_starts(stepped), steps=effort.few, fitted=fitted)
         chosen = self._different(_best_of_each_shape_first(self._sorted(few)), effort.finished)
-        many = fitted(_starts(chosen), steps=_MANY_STEPS, roughness=True, sizes=sizes)
+        many = least_misfits(_starts(chosen), steps=_MANY_STEPS, fitted=fitted)
         return self._polished(self._sorted(many)[: effort.polished])
 
     def _lit(
@@ -228,7 +234,7 @@ class _Search:
         for shape, size_m in self.family.sizes.items():
             found = sketch.starts(shape, size_m, counts, rng, fits_sizes=fits_sizes)
             starts = [(self.coarse, replace(start, relay_wall=each)) for start in found for each in walls]
-            fits = fitted(starts, steps=0)
+            fits = least_misfits(starts, steps=0)
             best = [
                 min(fits[place : place + len(walls)], key=lambda fit: fit.misfit)
                 for place in range(0, len(fits), len(walls))
@@ -252,7 +258,7 @@ class _Search:
         found: list[Fit] = []
         for _ in range(_WALLS):
             starts = [each.behind(candidate) for each, candidate in starts]
-            found = fitted(starts, steps=_FINE_STEPS, roughness=True, sizes=self.family.fits_sizes)
+            found = least_misfits(starts, steps=_FINE_STEPS, fitted=self.fitted)
             starts = _starts(found)
         return found
 

@@ -27,8 +27,8 @@ def corner_of(room: Preset | None, wall: ExpectedWall, horizontal_fov_deg: float
 
     Parameters
     ----------
-    room : its camera may be a few decimetres and degrees elsewhere. None: no middle wall; the world's axes
-        are then x to the right, y forward and z up, from the camera.
+    room : None: no middle wall; the world's axes are then x to the right, y forward and z up, from the
+        camera.
     wall : where the camera sees its relay wall.
 
     Raises

@@ -1,4 +1,4 @@
-"""What a fit may change of a candidate: places, rotations, extents, and the roughness of the wall."""
+"""What a fit may change of a candidate: places, rotations, extents, and what is unknown of the walls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from model.refinement.light.corner_light import euler_deg, vector
-from scenegen.pose import rotation_matrix
+from scenegen.pose import rotation_matrix, wall_normal
 from scenegen.scene import HiddenObject, Scene
 from scenegen.shapes import Shape
 
@@ -21,6 +21,22 @@ ROUGHNESS: Final = (0.05, 1.0)  # smallest and largest of a relay wall
 _STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 1e-2, 0.025, 2e-2, 2e-2  # of the differences
 _WIDER: Final = 3.0  # with few nodes: shadows move from node to node, and light changes in steps
 _FARTHEST_M, _FARTHEST_RAD, _FARTHEST_SIZE, _FARTHEST_ROUGHNESS = 0.15, 0.5, 0.2, 0.3  # of one step
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What is fitted besides the poses of objects.
+
+    Attributes
+    ----------
+    roughness : of the relay wall.
+    sizes : extents of the objects.
+    room : how far the middle wall is along the normals of both walls.
+    """
+
+    roughness: bool = False
+    sizes: bool = False
+    room: bool = False
 
 
 @dataclass(frozen=True)
@@ -41,26 +57,25 @@ class Unknown:
         return cls(part, kind, place, (step, -step))
 
 
-def unknowns(candidate: Scene, roughness: bool, sizes: bool, fine: bool) -> list[Unknown]:
-    """The unknowns of a candidate, with the roughness of its relay wall and the extents of its objects.
-
-    `fine` : whether the light is computed with many nodes.
-    """
-    return list(_unknowns(candidate, roughness, sizes, 1.0 if fine else _WIDER))
+def unknowns(candidate: Scene, fitted: Fitted, fine: bool) -> list[Unknown]:
+    """The unknowns of a candidate; `fine` : whether the light is computed with many nodes."""
+    return list(_unknowns(candidate, fitted, 1.0 if fine else _WIDER))
 
 
-def _unknowns(candidate: Scene, roughness: bool, sizes: bool, wider: float) -> Iterator[Unknown]:
+def _unknowns(candidate: Scene, fitted: Fitted, wider: float) -> Iterator[Unknown]:
     for index, part in enumerate(candidate.hidden_objects):
         yield from (Unknown.about(index, "place", axis, wider * _STEP_M) for axis in range(3))
         if part.shape != "sphere":
             yield from (Unknown.about(index, "turn", axis, wider * _STEP_RAD) for axis in range(3))
-        if sizes:
+        if fitted.sizes:
             yield from (
                 Unknown.about(index, "size", axis, wider * _STEP_SIZE)
                 for axis in range(len(stretches(part.shape)))
             )
     now = candidate.relay_wall.roughness
-    if roughness and now is not None:
+    if fitted.room:
+        yield from (Unknown.about(0, "room", axis, _STEP_M) for axis in range(2))
+    if fitted.roughness and now is not None:
         least, most = (limit - now for limit in ROUGHNESS)
         more = min(max(_STEP_ROUGHNESS, least + 2 * _STEP_ROUGHNESS), most)
         yield Unknown(0, "roughness", 0, (more, more - 2 * _STEP_ROUGHNESS))
@@ -81,7 +96,13 @@ def changed(candidate: Scene, numbers: Sequence[Unknown], change: Floats) -> Sce
     if wall.roughness is not None and numbers[-1].kind == "roughness":
         by = float(np.clip(change[-1], -_FARTHEST_ROUGHNESS, _FARTHEST_ROUGHNESS))
         wall = replace(wall, roughness=min(max(wall.roughness + by, ROUGHNESS[0]), ROUGHNESS[1]))
-    return replace(candidate, hidden_objects=tuple(parts), relay_wall=wall)
+    middle = candidate.middle_wall
+    for unknown, value in zip(numbers, change, strict=True):
+        if unknown.kind == "room":
+            along = wall_normal((wall, middle)[unknown.place])
+            by_m = float(np.clip(value, -_FARTHEST_M, _FARTHEST_M)) * along
+            middle = replace(middle, location_m=vector(np.asarray(middle.location_m) + by_m))
+    return replace(candidate, hidden_objects=tuple(parts), relay_wall=wall, middle_wall=middle)
 
 
 def moved(part: HiddenObject, by_m: Floats, turned_rad: Floats | None = None) -> HiddenObject:

@@ -10,10 +10,10 @@ from itof import DepthMap, TransientLayout, pixel_rays
 from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
 from model.refinement.hidden_light import HiddenLight
-from model.refinement.least_squares import Comparison, fitted
+from model.refinement.least_squares import Comparison, least_misfits
 from model.refinement.light.corner_light import CornerLight, known_corner, with_camera_at, with_wall_at
 from model.refinement.refining import Family, refined
-from model.refinement.unknowns import moved, stretched
+from model.refinement.unknowns import Fitted, moved, stretched
 from model.refinement.wall_brightness import walls_as_bright
 from scenegen import camera_axes, preset_from_dict, sample_valid_scene
 from scenegen.geometry_check import refusal
@@ -141,9 +141,9 @@ def test_a_solid_is_found_from_two_centimetres_and_ten_degrees_away(seven, lit, 
     start = changed(true, moved, rng.normal(0, 0.012, 3), rng.normal(0, 0.1, 3))
     found = comparison(hidden + direct)
     candidate = replace(start, relay_wall=replace(start.relay_wall, roughness=0.7))
-    (fit,) = fitted([(found, candidate)], steps=8, roughness=True)
+    (fit,) = least_misfits([(found, candidate)], steps=8, fitted=Fitted(roughness=True))
     for _ in range(2):
-        (fit,) = fitted([found.behind(fit.candidate)], steps=6, roughness=True)
+        (fit,) = least_misfits([found.behind(fit.candidate)], steps=6, fitted=Fitted(roughness=True))
         found = fit.comparison
     rays = pixel_rays(WIDTH, HEIGHT, 60.0).reshape(-1, 3)
     shown = [found.placed(each) for each in (true, start, fit.candidate)]  # in front of one wall
@@ -159,8 +159,8 @@ def test_fits_side_by_side_end_where_each_ends_alone(seven, lit, comparison):
     found = comparison(sum(lit[seven.ids()[0]]))
     true, rng = seven.scene(seven.ids()[0]), np.random.default_rng(3)
     starts = [(found, changed(true, moved, rng.normal(0, 0.02, 3), rng.normal(0, 0.1, 3))) for _ in range(3)]
-    together = fitted(starts, steps=3, roughness=True)
-    alone = [fitted([start], steps=3, roughness=True)[0] for start in starts]
+    together = least_misfits(starts, steps=3, fitted=Fitted(roughness=True))
+    alone = [least_misfits([start], steps=3, fitted=Fitted(roughness=True))[0] for start in starts]
     assert [(fit.candidate, fit.misfit) for fit in together] == [(fit.candidate, fit.misfit) for fit in alone]
     before = found.misfits([start for _, start in starts])
     assert all(fit.misfit < found.relative(b) for fit, b in zip(together, before, strict=True))
@@ -172,8 +172,8 @@ def test_extents_are_found_too(seven, lit, comparison):
     true = seven.scene(seven.ids()[index])
     start = changed(true, stretched, np.log([1.15, 0.9]))
     found = comparison(hidden + direct)
-    (fit,) = fitted([(found, start)], steps=10, sizes=True)
-    (fit,) = fitted([found.behind(fit.candidate)], steps=6, sizes=True)
+    (fit,) = least_misfits([(found, start)], steps=10, fitted=Fitted(sizes=True))
+    (fit,) = least_misfits([found.behind(fit.candidate)], steps=6, fitted=Fitted(sizes=True))
     size_m = fit.candidate.hidden_objects[0].size_m
     np.testing.assert_allclose(size_m, true.hidden_objects[0].size_m, rtol=0.03)
 

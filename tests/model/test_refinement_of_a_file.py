@@ -60,8 +60,8 @@ def test_place_size_and_reflectance_of_a_solid_are_found_from_a_file(refined, da
     found, (true,) = image["explanation"], dataset.scene("000001").hidden_objects
     assert found["accepted"]
     assert found["solid"]["shape"] == "sphere"
-    # The light of 0.5 % noise tells size and reflectance apart to a few per cent.
-    np.testing.assert_allclose(found["solid"]["size_m"], true.size_m, rtol=0.06)
+    # A larger and darker sphere has nearly the same light: 0.5 % of noise tells them apart to some per cent.
+    np.testing.assert_allclose(found["solid"]["size_m"], true.size_m, rtol=0.1)
     assert found["reflectance"] == pytest.approx(true.reflectance, rel=0.15)
     away_m = np.array(found["solid"]["location_m"]) - true.location_m
     assert (np.abs(away_m) < 0.01 + 3 * np.array(found["solid"]["location_std_m"])).all()
@@ -75,6 +75,19 @@ def test_place_size_and_reflectance_of_a_solid_are_found_from_a_file(refined, da
     errors_m = [np.abs(each.depth - truth.depth).mean() for each in (written, network)]
     # Each wrong pixel at the edge costs 0.25 cm, and a size that is known to 3 % has a few of them.
     assert errors_m[0] < 0.7 * errors_m[1]
+
+
+def test_a_room_may_be_off_by_centimetres(dataset, measured, tmp_path):
+    room = preset_from_dict({"camera": {"location_m": [1.2, -0.98, 1.65]}}, "a test")  # 20 and 2 cm away
+    sphere = {"shapes": ["sphere"], "composite_fraction": 0.0, "size_m": {"sphere": [0.46, 0.46, 0.46]}}
+    objects = preset_from_dict({"hidden_object": sphere | {"reflectance": 0.7}}, "a test")
+    done = model.refine(
+        *(RUN, measured, tmp_path / "out"), room=room, objects=objects, device="cpu", progress=False
+    )
+    found, (true,) = done.images[0].explanation, dataset.scene("000001").hidden_objects
+    assert found.accepted
+    moved_m = np.array(found.solid.location_m) - true.location_m
+    np.testing.assert_allclose(moved_m, [0, 0.02, 0], atol=0.01)  # with the camera, along the wall
 
 
 def test_the_picture_shows_what_the_solid_leaves(refined):
