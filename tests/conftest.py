@@ -158,11 +158,13 @@ def finished_run(closed_form_scenes, tmp_path_factory):
 @pytest.fixture(scope="session")
 def judged_run(finished_run, closed_form_scenes, tmp_path_factory):
     """A report of that run on its training scenes, and its folder; for reading only."""
+    from model.device import one_thread
     from model.judging.evaluation import evaluate
 
     folder = tmp_path_factory.mktemp("reports") / "report"
     options = {"split": "train", "device": "cpu", "progress": False}
-    return evaluate(finished_run, closed_form_scenes, folder, **options), folder
+    with one_thread():  # as in the tests that compare with it
+        return evaluate(finished_run, closed_form_scenes, folder, **options), folder
 
 
 @pytest.fixture
