@@ -186,7 +186,9 @@ def refine(
     """
     import model
 
-    given = {name: value for name, value in options.items() if value is not None and value is not False}
+    given = {name: value for name, value in options.items() if value is not None}
+    if not given["force"]:
+        del given["force"]
     preset = None if objects is None else load_preset(objects)
     is_file = not measured.is_dir()
     wrong = given.keys() & ({"split", "workers"} if is_file else {"horizontal_fov_deg", "rescale", "force"})

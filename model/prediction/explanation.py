@@ -1,4 +1,4 @@
-"""The solid that explains an image, as a prediction keeps them."""
+"""The solid that explains an image, as a prediction keeps it."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ class Explanation:
     @property
     def words(self) -> str:
         """The outcome as text."""
-        shape = self.solid.shape.replace("_", " ")
+        shape, left = self.solid.shape.replace("_", " "), f"{100 * self.misfit:.1f} %"
         if self.accepted:
-            return f"a {shape} leaves {self.misfit:.1%} of the hidden light"
+            return f"a {shape} leaves {left} of the hidden light"
         if self.noise > 1:
             return "no solid explains more than the noise"
-        return f"no solid is accepted; the best, a {shape}, leaves {self.misfit:.1%} of the hidden light"
+        return f"no solid is accepted; the best, a {shape}, leaves {left} of the hidden light"
 
 
 @dataclass(frozen=True)
@@ -88,4 +88,8 @@ class Refiner(Protocol):
         wall: ExpectedWall,
         title: str,
     ) -> RefinedImage:
-        """The better depth map of an image (H, W, F); `title` is that of the picture."""
+        """The better depth map of an image (H, W, F).
+
+        `prediction` is the network's, `expected_m` the MAE that it expects of it, metres, or None; `wall` is
+        that which the network was told of, `title` that of the picture.
+        """

@@ -60,7 +60,7 @@ class PredictedImage:
     expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
         if it expects none, or without an object.
     light : hidden light, and how much of it the depth map explains; None without residual channels.
-    explanation : the solid that refinement has found; None without refinement, or where there are none.
+    explanation : the solid that refinement has found; None without refinement, or where there is none.
     """
 
     name: str
@@ -257,11 +257,10 @@ def _predict_all(
                 (light,) = predictor.explained_light(batch[index][None], [one], measured.reference)
                 wall = check.walls[start + index]
                 image = _write(folder, name, one, wall, light, predictor, about)
-                image = replace(image, expected_mae_m=own_m)
+                image = replace(image, expected_mae_m=own_m, explanation=found.explanation)
                 if found.picture is not None:
                     image = replace(image, files=(*image.files, f"{name}_light.png"))
                     write_figure(folder / image.files[-1], found.picture)
-                image = replace(image, explanation=found.explanation)
                 if wall is not None:
                     fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
                     image = _with_wall(folder, image, fit, predictor, about)

@@ -27,7 +27,8 @@ Floats = NDArray[np.float64]
 USUAL_MISFIT: Final = 0.004  # ε, of the right solid
 USUAL_M: Final = 0.02  # D of a network that expects none
 _LEAST_M: Final = 0.005  # of D
-_SMOOTH: Final = 14  # values to which the errors of a model are equal, about
+# Independent values in the errors of a model. Chosen so that stated errors are the actual ones.
+_SMOOTH: Final = 14
 _OF_A_POSE: Final = 7  # unknowns of a solid, and the roughness of the wall
 _DRAWS: Final = 8
 _RIDGE: Final = 1e-9

@@ -1,7 +1,8 @@
-"""What the hidden object may be, from a preset."""
+"""What the hidden object may be, from a preset; and what may be accepted."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 from model.judging.refusals import EvaluationError
@@ -26,3 +27,9 @@ def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
         )
     is_known = "reflectance" not in unknown and hidden.least_reflectance is None
     return Family(known, "sizes" in unknown, hidden.reflectance if is_known else None)
+
+
+def refuse_misfit(largest_misfit: float) -> None:
+    """Refuse a share of the light that is none (`EvaluationError`)."""
+    if not (math.isfinite(largest_misfit) and largest_misfit > 0):
+        raise EvaluationError(f"the largest misfit is a number above 0, got {largest_misfit:g}")

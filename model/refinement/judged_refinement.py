@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,7 +22,7 @@ from model.judging.refusals import (
     refuse_other_images,
 )
 from model.prediction.predictor import load
-from model.refinement.family import family_of
+from model.refinement.family import family_of, refuse_misfit
 from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport
 from model.refinement.refining import Family
@@ -75,8 +74,7 @@ def refine_split(
     """
     if workers < 1:
         raise EvaluationError(f"the number of workers is at least 1, got {workers}")
-    if not (math.isfinite(largest_misfit) and largest_misfit > 0):
-        raise EvaluationError(f"the largest misfit is a number above 0, got {largest_misfit:g}")
+    refuse_misfit(largest_misfit)
     run, out = run_folder(run), Path(out).resolve()
     refuse_missing_split(dataset, split)
     fitted = tuple(sorted(set(unknown)))

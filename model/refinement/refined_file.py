@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,11 @@ from model.prediction.explanation import RefinedImage
 from model.prediction.prediction_files import FilePrediction, predict_file
 from model.prediction.predictor import load
 from model.refinement.explaining import explained
-from model.refinement.family import family_of
+from model.refinement.family import family_of, refuse_misfit
 from model.refinement.light.corner_light import CornerLight, with_camera_at
 from model.refinement.light_figure import light_figure
 from model.refinement.refining import Family, refined
-from model.refinement.room import corner_of, refuse_hidden_wall
+from model.refinement.room import corner_of, refuse_unseen_wall
 from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS, Unknown
 from model.settings.run import DeviceName
 from scenegen import Preset
@@ -61,9 +61,11 @@ def refine(
     Raises
     ------
     RoomError : the room is not that of the measurement.
+    EvaluationError : `objects` has no shape that can be fitted, or `largest_misfit` is no number above 0.
     ImplausibleError, MeasurementError, PredictionError, RunError, DeviceError : as `predict_file`, which also
         has the other parameters.
     """
+    refuse_misfit(largest_misfit)
     fitted = (UNKNOWNS if objects is None else ()) if unknown is None else unknown
     family = family_of(objects or Preset(), fitted)
     predictor = load(run, device)
@@ -102,7 +104,7 @@ class _FileRefiner:
         """The better depth map of an image (H, W, F)."""
         corner = corner_of(self.room, wall, self.horizontal_fov_deg)
         placed = with_camera_at(corner, np.asarray(wall.plane_per_m))
-        refuse_hidden_wall(placed, wall.rays.reshape(-1, 3), self.light)
+        refuse_unseen_wall(placed, wall.rays.reshape(-1, 3), self.light)
         seed = zlib.crc32(np.ascontiguousarray(phasor).tobytes())
         with one_thread():
             arguments = (phasor, prediction, expected_m, wall, corner, self.light, self.family)
@@ -115,7 +117,4 @@ class _FileRefiner:
         picture = light_figure(
             f"{title}\n{outcome.words}", fit.comparison.observed, misfit, wall.frequencies_hz
         )
-        better = prediction
-        if outcome.accepted:
-            better = replace(found.depth_map, frequency_hz=prediction.frequency_hz)
-        return RefinedImage(better, outcome, picture)
+        return RefinedImage(found.depth_map if outcome.accepted else prediction, outcome, picture)

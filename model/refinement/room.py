@@ -47,12 +47,12 @@ def corner_of(room: Preset | None, wall: ExpectedWall, horizontal_fov_deg: float
     return with_wall_at(replace(scene, camera=camera, middle_wall=nowhere), plane)
 
 
-def refuse_hidden_wall(corner: Scene, rays: Floats, light: CornerLight) -> None:
-    """Refuse a corner (with its camera in place) whose middle wall hides the relay wall along all rays."""
+def refuse_unseen_wall(corner: Scene, rays: Floats, light: CornerLight) -> None:
+    """Refuse a corner (with its camera in place) whose relay wall is seen along none of (P, 3) rays."""
     if not light.sees_wall([corner], rays).any():
         raise RoomError(
-            "the middle wall of the room hides the whole relay wall from the camera: check the places and "
-            "sizes in its [middle_wall] and [camera]"
+            "the camera of the room sees nothing of its relay wall, or the middle wall hides all of it: "
+            "check the places and sizes in its [camera], [relay_wall] and [middle_wall]"
         )
 
 

@@ -120,8 +120,8 @@ ROOMS = {
     "[camera]\nrotation_deg = [90.0, 0.0, -130.0]": "the relay wall of the room is behind its camera",
     "[camera]\nlocation_m = [3.0, -2.0, 1.65]": "the room has its relay wall 3.00 m from the camera, the "
     "measurement shows it at 1.00 m",
-    "[middle_wall]\nlocation_m = [0.5, -0.5, 2.0]\nrotation_deg = [90.0, 0.0, 50.0]": "the middle wall of "
-    "the room hides the whole relay wall from the camera",
+    "[middle_wall]\nlocation_m = [0.5, -0.5, 2.0]\nrotation_deg = [90.0, 0.0, 50.0]": "the camera of the "
+    "room sees nothing of its relay wall, or the middle wall hides all of it",
 }
 
 
@@ -142,6 +142,24 @@ def test_options_of_a_dataset_and_of_a_file_are_not_mixed(measured, dataset, tmp
     assert said == f"--split, --workers: for a dataset, which {measured} is not; leave it out"
     said = refusal("night-eval", "refine", RUN, dataset.root, *out, "--room", "paper", "--fov", 60)
     assert said == f"--fov, --room: for a file with a measurement, which {dataset.root} is not; leave it out"
+    for option in ("--rescale", "--no-rescale", "--force"):
+        assert "for a file with a measurement" in refusal(
+            "night-eval", "refine", RUN, dataset.root, *out, option
+        )
+    said = refusal("night-eval", "refine", RUN, measured, *out, "--largest-misfit", "nan")
+    assert said == "the largest misfit is a number above 0, got nan"
+
+
+def test_whether_images_are_rescaled_is_passed_on(measured, tmp_path):
+    sphere = '[hidden_object]\nshapes = ["sphere"]\ncomposite_fraction = 0.0\n'
+    (tmp_path / "sphere.toml").write_text(sphere)
+    for option, rescaled in (("--no-rescale", False), ("--rescale", True)):
+        done = night_here(
+            *("night-eval", "refine", RUN, measured, "--out", tmp_path / "out", "--device", "cpu", option),
+            *("--objects", tmp_path / "sphere.toml", "--force", "--json"),
+        )
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["rescaled"] == rescaled
 
 
 def test_files_that_the_network_cannot_read_are_named_as_by_predict(measured, tmp_path):
