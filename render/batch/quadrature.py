@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.batch.chebyshev import chebyshev
-from render.batch.quadrics import Hiding, quadric_of
-from render.batch.surface_points import UnitPoints, divided_points, surface_points
+from render.batch.free_surface import free_parts
+from render.batch.surface_points import UnitPoints, surface_points
 from render.batch.tables import PlacedObject, Scenes
 from render.walls.corners import Corners
 from scenegen.shapes import Shape
@@ -151,19 +151,11 @@ def surface_nodes(scenes: Scenes, chosen: Ints, level: Ints, meshes: Mapping[Sha
     facing = _corners_of_walls(scenes)
     scene, values = [], []
     for placed in scenes.objects:
-        if placed.scene not in level_of:
-            continue
-        one = level_of[placed.scene]
-        others = [each for each in scenes.objects_of(placed.scene) if each is not placed]
-        if others and quadric_of(placed.shape)[1] is not Hiding.MESH:
-            rows = _free_points(placed, others, one)
-            rows = rows[_faces(rows, facing[placed.scene])]
-            scene.append(np.full(len(rows), placed.scene))
-            values.append(rows)
-        else:
-            groups.setdefault((placed.shape, one), []).append(placed)
+        if placed.scene in level_of:
+            groups.setdefault((placed.shape, level_of[placed.scene]), []).append(placed)
     for (shape, one), some in groups.items():
-        number, rows = _placed_points(surface_points(shape, one, meshes[shape]), some, facing)
+        others = [_others(scenes, placed) for placed in some]
+        number, rows = _placed_points(surface_points(shape, one, meshes[shape]), some, others, facing)
         scene.append(number)
         values.append(rows)
     return Nodes.of(len(scenes.scenes), np.concatenate(scene), np.concatenate(values))
@@ -184,47 +176,28 @@ def _corners_of_walls(scenes: Scenes) -> Floats:
     return on_wall(scenes.corners, nodes)
 
 
-def _placed_points(points: UnitPoints, some: Sequence[PlacedObject], walls: Floats) -> tuple[Ints, Floats]:
-    """Scene (M,) and rows (M, 8) of `surface_nodes` of objects of one shape."""
-    number, rows = _placed_rows(points, some)
-    faces = _faces(rows, walls[number])
-    return np.repeat(number, faces.sum(1)), rows[faces]
-
-
-def _placed_rows(points: UnitPoints, some: Sequence[PlacedObject]) -> tuple[Ints, Floats]:
-    """Scene (n,) and rows (n, S, 8) of `surface_nodes` of n objects of one shape."""
+def _placed_points(
+    points: UnitPoints, some: Sequence[PlacedObject], others: Sequence[Sequence[PlacedObject]], walls: Floats
+) -> tuple[Ints, Floats]:
+    """Scene (M,) and rows (M, 8) of `surface_nodes` of n objects of one shape, each with `others`."""
     axes, size = np.stack([each.axes for each in some]), np.stack([each.size for each in some])
     centre, number = np.stack([each.centre for each in some]), np.array([each.scene for each in some])
     at = np.einsum("nij,nsj->nsi", axes, points.points * size[:, None]) + centre[:, None]
     normal = points.normals / size[:, None]  # (n, S, 3)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    reflected = points.areas * size.prod(1)[:, None] * np.array([each.reflectance for each in some])[:, None]
-    normal = np.einsum("nij,nsj->nsi", axes, normal / length)
-    lift = np.broadcast_to(_LIFT * size.max(1)[:, None, None], length.shape)
-    rows = np.concatenate([at, reflected[..., None] * length, normal, lift], axis=-1)
-    return number, rows
+    length = np.linalg.norm(normal, axis=-1)
+    area = points.areas * size.prod(1)[:, None] * length  # (n, S)
+    normal = np.einsum("nij,nsj->nsi", axes, normal / length[..., None])
+    free, at = free_parts(at, normal, area, others)
+    reflected = free * area * np.array([each.reflectance for each in some])[:, None]
+    lift = np.broadcast_to(_LIFT * size.max(1)[:, None, None], (*area.shape, 1))
+    rows = np.concatenate([at, reflected[..., None], normal, lift], axis=-1)
+    kept = _faces(rows, walls[number]) & (free > 0)
+    return np.repeat(number, kept.sum(1)), rows[kept]
 
 
-def _free_points(placed: PlacedObject, others: Sequence[PlacedObject], level: int) -> Floats:
-    """Rows (M, 8) of `surface_nodes` of what is outside the other objects of its scene.
-
-    Many points tell how much of the surface around each point is free, and where its middle is.
-    """
-    many, nearest = divided_points(placed.shape, level)
-    _, rows = _placed_rows(many, [placed])
-    free = ~np.any([other.contains(rows[0, :, :3]) for other in others], axis=0)
-    rows = rows[0, free]
-    _, part = np.unique(nearest[free], return_inverse=True)
-    area = np.bincount(part, rows[:, 3])
-    mean = np.stack([np.bincount(part, rows[:, 3] * column) for column in rows.T], axis=1) / area[:, None]
-    mean[:, 3] = area
-    mean[:, 4:7] /= np.linalg.norm(mean[:, 4:7], axis=1, keepdims=True)
-    # The middle of a curved part is below the surface, where everything is in shadow.
-    above = ((rows[:, :3] - mean[part, :3]) * mean[part, 4:7]).sum(1)
-    height = np.zeros(len(mean))
-    np.maximum.at(height, part, above)
-    mean[:, :3] += height[:, None] * mean[:, 4:7]
-    return mean
+def _others(scenes: Scenes, placed: PlacedObject) -> list[PlacedObject]:
+    """The other objects of the scene of an object."""
+    return [each for each in scenes.objects_of(placed.scene) if each is not placed]
 
 
 def _faces(rows: Floats, wall: Floats) -> NDArray[np.bool_]:

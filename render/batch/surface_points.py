@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from render.transport.lights.hidden_surface import spread_evenly, triangle_surface
 from scenegen.shapes import Shape
@@ -22,7 +21,6 @@ from scenegen.unit_meshes import ARC_DEPTH, ARC_WIDTH, UnitMesh, concave_arc
 
 Floats = NDArray[np.float64]
 _MESH_POINTS: Final = 100  # of a user's mesh at level 0
-_DIVISIONS: Final = 4  # levels of the points that tell what of a surface is inside another object
 _KEPT_MESHES: Final = 64  # whose points are kept
 
 
@@ -46,14 +44,6 @@ class UnitPoints:
 def surface_points(shape: Shape, level: int, mesh: UnitMesh) -> UnitPoints:
     """The points of a primitive or of a user's mesh; twice as many with every `level`."""
     return _primitive_points(shape, level) if shape in _PRIMITIVES else _mesh_points(mesh, level)
-
-
-@functools.cache
-def divided_points(shape: Shape, level: int) -> tuple[UnitPoints, NDArray[np.int64]]:
-    """Many points of a primitive, and which of its `surface_points` each is nearest to, on the same side."""
-    many, few = (_primitive_points(shape, each) for each in (level + _DIVISIONS, level))
-    tree = KDTree(np.concatenate([few.points, few.normals], axis=1))
-    return many, tree.query(np.concatenate([many.points, many.normals], axis=1))[1]
 
 
 @functools.cache

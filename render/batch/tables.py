@@ -48,16 +48,6 @@ class PlacedObject:
         centre = camera_axes @ (np.array(part.location_m) - camera_m)
         return cls(number, part.shape, axes, centre, np.array(part.size_m), part.reflectance)
 
-    def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """(S,) whether points (S, 3) are inside it; nothing is inside a sheet or a user's mesh."""
-        if not is_convex(self.shape):
-            return np.zeros(len(points), bool)
-        own = (points - self.centre) @ self.axes / self.size
-        x, y, z = own.T
-        a, b, c, d, e, f = quadric_of(self.shape)[0]
-        inside: NDArray[np.bool_] = (np.abs(own) < 0.5).all(1)
-        return inside & (a * x**2 + b * y**2 + c * z**2 + d * x + e * z + f <= 0)
-
     @property
     def near_points(self) -> Floats:
         """(27, 3) corners and middles of its box."""
