@@ -26,8 +26,9 @@ from itof.wall.empty_corner import captured_wall
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
 from model.prediction.predictor import Predictor, load
+from model.refinement.family import Family
 from model.refinement.light.corner_light import CornerLight, known_corner
-from model.refinement.refining import Family, refined
+from model.refinement.refining import refined
 from scenegen import MEASUREMENT_FILE, Dataset, open_dataset
 
 CORNER = 8  # exposures of the empty corner for each of the measurement

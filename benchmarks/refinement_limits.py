@@ -28,8 +28,9 @@ from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
 from model.network.metrics import ImageMetrics, image_metrics, summarise
 from model.prediction.predictor import Predictor, load
+from model.refinement.family import Family
 from model.refinement.light.corner_light import CornerLight, known_corner
-from model.refinement.refining import Family, refined
+from model.refinement.refining import refined
 from scenegen import Dataset, open_dataset
 from scenegen.shapes import PRIMITIVES
 

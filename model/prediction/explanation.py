@@ -1,4 +1,4 @@
-"""The solid that explains an image, as a prediction keeps it."""
+"""The solids that explain an image, as a prediction keeps them."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class Explanation:
 
     Attributes
     ----------
-    solid : accepted or not.
-    misfit : part of the hidden light that it does not explain, without noise.
+    solids : one or two, accepted or not.
+    misfit : part of the hidden light that they do not explain, without noise.
     noise : of the measurement, as part of its hidden light.
-    difference_m : of its depth map and the network's, mean over all pixels, metres.
-    expected_mae_m : MAE of its depth map that the light leaves possible, metres.
-    reflectance, roughness : of the solid and of the relay wall, fitted or known.
+    difference_m : of their depth map and the network's, mean over all pixels, metres.
+    expected_mae_m : MAE of their depth map that the light leaves possible, metres.
+    reflectance, roughness : of the solids and of the relay wall, fitted or known.
     """
 
-    solid: FoundSolid
+    solids: tuple[FoundSolid, ...]
     accepted: bool
     misfit: float
     noise: float
@@ -60,12 +60,13 @@ class Explanation:
     @property
     def words(self) -> str:
         """The outcome as text."""
-        shape, left = self.solid.shape.replace("_", " "), f"{100 * self.misfit:.1f} %"
+        shapes = " and ".join(f"a {solid.shape.replace('_', ' ')}" for solid in self.solids)
+        leaves = f"{'leaves' if len(self.solids) == 1 else 'leave'} {100 * self.misfit:.1f} %"
         if self.accepted:
-            return f"a {shape} leaves {left} of the hidden light"
+            return f"{shapes} {leaves} of the hidden light"
         if self.noise > 1:
             return "no solid explains more than the noise"
-        return f"no solid is accepted; the best, a {shape}, leaves {left} of the hidden light"
+        return f"no solid is accepted; the best, {shapes}, {leaves} of the hidden light"
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class RefinedImage:
 
 
 class Refiner(Protocol):
-    """Finds the solid behind a predicted depth map."""
+    """Finds the solids behind a predicted depth map."""
 
     def __call__(
         self,

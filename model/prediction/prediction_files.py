@@ -33,9 +33,9 @@ from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
-# 5 no uncertainty of the wall's distance and angle, no `light`; 6 no `hideable` light; 7 no `explanation`.
-PREDICTION_SCHEMA: Final = 8
-_KNOWN_SCHEMAS: Final = (1, 2, 3, 4, 5, 6, 7, 8)  # of earlier predictions, which are replaced
+# 5 no uncertainty of the wall, no `light`; 6 no `hideable` light; 7 no `explanation`; 8 one solid.
+PREDICTION_SCHEMA: Final = 9
+_KNOWN_SCHEMAS: Final = tuple(range(1, PREDICTION_SCHEMA + 1))  # of earlier predictions, which are replaced
 _SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
 _LEAST_TOLD_M: Final = 1e-3
@@ -60,7 +60,7 @@ class PredictedImage:
     expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
         if it expects none, or without an object.
     light : hidden light, and how much of it the depth map explains; None without residual channels.
-    explanation : the solid that refinement has found; None without refinement, or where there is none.
+    explanation : the solids that refinement has found; None without refinement, or where there is none.
     """
 
     name: str

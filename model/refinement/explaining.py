@@ -16,9 +16,9 @@ from model.refinement.unknowns import stretches
 def explained(
     found: Refined, prediction: DepthMap, expected_m: float | None, largest_misfit: float
 ) -> Explanation:
-    """The solid with its uncertainty, and whether it is accepted (`Refined.is_right`)."""
+    """The solids with their uncertainty, and whether they are accepted (`Refined.is_right`)."""
     return Explanation(
-        _solid(found),
+        tuple(_solid(found, part) for part in range(len(found.solids))),
         found.is_right(expected_m, largest_misfit=largest_misfit),
         found.misfit,
         found.noise,
@@ -29,9 +29,9 @@ def explained(
     )
 
 
-def _solid(found: Refined) -> FoundSolid:
-    solid = found.solid
-    place, turn, size = (found.spread.of(kind) for kind in ("place", "turn", "size"))
+def _solid(found: Refined, part: int) -> FoundSolid:
+    solid = found.solids[part]
+    place, turn, size = (found.spread.of(kind, part) for kind in ("place", "turn", "size"))
     turn = turn if len(turn) else np.zeros(3)
     size = size @ stretches(solid.shape) if len(size) else np.zeros(3)
     return FoundSolid(

@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
+from disk.quantities import Extent
 from model.judging.refusals import EvaluationError
-from model.refinement.refining import Family
 from model.refinement.settings import Unknown
 from scenegen import Preset
-from scenegen.shapes import PRIMITIVES
+from scenegen.shapes import PRIMITIVES, Shape
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the hidden object may be.
+
+    Attributes
+    ----------
+    sizes : extents of each shape that may be there, metres; to start with, if `fits_sizes`.
+    fits_sizes : whether the extents are unknowns.
+    reflectance : of the object; None: it is not known.
+    apart_m : how far the centres of two solids may be apart along an axis, metres; None: there is one solid.
+    """
+
+    sizes: Mapping[Shape, Extent]
+    fits_sizes: bool = False
+    reflectance: float | None = 1.0
+    apart_m: float | None = None
 
 
 def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
@@ -26,7 +45,8 @@ def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
             f"the preset of the objects has none of the shapes that can be fitted: {', '.join(PRIMITIVES)}"
         )
     is_known = "reflectance" not in unknown and hidden.least_reflectance is None
-    return Family(known, "sizes" in unknown, hidden.reflectance if is_known else None)
+    apart_m = max(map(abs, hidden.composite_offset_m)) if hidden.composite_fraction > 0 else None
+    return Family(known, "sizes" in unknown, hidden.reflectance if is_known else None, apart_m)
 
 
 def refuse_misfit(largest_misfit: float) -> None:

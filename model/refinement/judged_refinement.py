@@ -22,10 +22,9 @@ from model.judging.refusals import (
     refuse_other_images,
 )
 from model.prediction.predictor import load
-from model.refinement.family import family_of, refuse_misfit
+from model.refinement.family import Family, family_of, refuse_misfit
 from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport
-from model.refinement.refining import Family
 from model.refinement.settings import LARGEST_MISFIT, Unknown
 from model.refinement.work import SCENES_FOLDER, Job, Recipe, read_result, worked
 from model.run_folder.shipped import run_folder
@@ -93,6 +92,7 @@ def refine_split(
         split,
         dict(family.sizes),
         family.reflectance,
+        family.apart_m,
         fitted,
         largest_misfit,
     )
@@ -153,7 +153,7 @@ def _write_table(file: Path, scenes: Sequence[RefinedScene]) -> None:
         {
             "scene": scene.scene,
             "object_class": scene.object_class,
-            "shape": scene.found.solid.shape if scene.found else "",
+            "shape": " + ".join(solid.shape for solid in scene.found.solids) if scene.found else "",
             **{name: getattr(scene.found, name, None) for name in _OF_FOUND},
             "expected_mae_m": scene.expected_mae_m,
             "accepted": scene.accepted,

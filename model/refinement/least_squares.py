@@ -1,8 +1,8 @@
 """Moves objects until their hidden light is that of a measurement: Levenberg and Marquardt's method.
 
-The derivatives are central differences, because visibility has no derivatives of its own, and because
-one-sided ones end a fit in a long valley, as of size and reflectance. Many fits go side by side,
-because the engine computes the light of many candidates for little more than that of one.
+The derivatives are central differences of light with few nodes, because visibility has no derivatives of
+its own, and because one-sided ones end a fit in a long valley, as of size and reflectance. Many fits go side
+by side, because the engine computes the light of many candidates for little more than that of one.
 
 Source: Marquardt 1963, with the damping of each unknown in proportion to its own curvature.
 """
@@ -149,6 +149,21 @@ class _Going:
     damping: float = _DAMPING
     has_ended: bool = False
 
+    @property
+    def with_few_nodes(self) -> _Going:
+        """The fit with cheap derivatives: those of few nodes lead to the same minimum."""
+        return replace(self, comparison=replace(self.comparison, fine=False))
+
+    def takes(self, candidate: Scene, misfit: Floats, trial: int, enough: float) -> bool:
+        """Go to a candidate if its misfit is smaller; whether it was."""
+        before, after = self.misfit @ self.misfit, misfit @ misfit
+        if not after < before:
+            return False
+        self.candidate, self.misfit = candidate, misfit
+        self.damping = max(self.damping * _MORE**trial * _LESS, _LEAST_DAMPING)
+        self.has_ended = bool(before - after < enough * before)
+        return True
+
 
 def least_misfits(
     starts: Asked,
@@ -156,6 +171,7 @@ def least_misfits(
     steps: int,
     fitted: Fitted = _POSES,
     enough: float = 1e-3,
+    one_sided: bool = False,
 ) -> list[Fit]:
     """The nearest minimum of the misfit of each start, after at most so many steps.
 
@@ -164,6 +180,7 @@ def least_misfits(
     starts : comparisons with the same rays and one engine.
     fitted : what is unknown besides poses.
     enough : stop when a step lowers the squared misfit by a smaller share.
+    one_sided : differences of half the price, for the first steps; of comparisons that are not `fine`.
     """
     if not starts:
         return []
@@ -171,7 +188,7 @@ def least_misfits(
     for _ in range(steps):
         going = [fit for fit in fits if not fit.has_ended]
         if going:
-            _step(going, fitted, enough)
+            _step(going, fitted, enough, one_sided)
     return [
         Fit(
             *(fit.comparison, fit.candidate),
@@ -181,28 +198,31 @@ def least_misfits(
     ]
 
 
-def _step(fits: Sequence[_Going], fitted: Fitted, enough: float) -> None:
+def _step(fits: Sequence[_Going], fitted: Fitted, enough: float, one_sided: bool) -> None:
     """One step of each fit: it takes the smallest of a few dampings that lowers its misfit."""
-    trials = []
-    for fit, (numbers, jacobian) in zip(fits, jacobians(fits, fitted), strict=True):
-        normal, slope = jacobian.T @ jacobian, jacobian.T @ fit.misfit
-        least = _RIDGE * np.trace(normal) + np.finfo(float).tiny
-        for trial in range(_TRIALS):
-            damping = fit.damping * _MORE**trial
-            ridge = np.diag(damping * np.diag(normal) + least)
-            change = np.linalg.solve(normal + ridge, -slope)
-            trials.append((damping, changed(fit.candidate, numbers, change)))
-    asked = [(fits[place // _TRIALS].comparison, candidate) for place, (_, candidate) in enumerate(trials)]
-    tried = misfits(asked)
-    for place, fit in enumerate(fits):
-        before, fit.has_ended = fit.misfit @ fit.misfit, True
-        for number in range(place * _TRIALS, (place + 1) * _TRIALS):
-            after = tried[number] @ tried[number]
-            if after < before:
-                damping, fit.candidate = trials[number]
-                fit.misfit, fit.damping = tried[number], max(damping * _LESS, _LEAST_DAMPING)
-                fit.has_ended = bool(before - after < enough * before)
-                break
+    slopes = _forward(fits, fitted) if one_sided else jacobians([fit.with_few_nodes for fit in fits], fitted)
+    left = list(range(len(fits)))
+    for trial in range(_TRIALS):
+        asked = []
+        for place in left:
+            fit, (numbers, jacobian) = fits[place], slopes[place]
+            change = _change(jacobian, fit.misfit, fit.damping * _MORE**trial)
+            asked.append((fit.comparison, changed(fit.candidate, numbers, change)))
+        tried = misfits(asked) if asked else []
+        left = [
+            place
+            for place, (_, candidate), misfit in zip(left, asked, tried, strict=True)
+            if not fits[place].takes(candidate, misfit, trial, enough)
+        ]
+    for place in left:
+        fits[place].has_ended = True
+
+
+def _change(jacobian: Floats, misfit: Floats, damping: float) -> Floats:
+    normal, slope = jacobian.T @ jacobian, jacobian.T @ misfit
+    least = _RIDGE * np.trace(normal) + np.finfo(float).tiny
+    change: Floats = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + least), -slope)
+    return change
 
 
 def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[tuple[Sequence[Unknown], Floats]]:
@@ -218,4 +238,20 @@ def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[tuple[Sequen
     return [
         (own, np.stack([(next(found) - next(found)) / np.ptp(each.steps) for each in own], axis=1))
         for own in numbers
+    ]
+
+
+def _forward(fits: Sequence[_Going], fitted: Fitted) -> list[tuple[Sequence[Unknown], Floats]]:
+    """As `jacobians`, by one-sided differences."""
+    numbers = [unknowns(fit.candidate, fitted, fit.comparison.fine) for fit in fits]
+    steps = [[each.steps[0] or each.steps[1] for each in own] for own in numbers]
+    moved = [
+        (fit.comparison, changed(fit.candidate, [each], np.array([step])))
+        for fit, own, some in zip(fits, numbers, steps, strict=True)
+        for each, step in zip(own, some, strict=True)
+    ]
+    found = iter(misfits(moved))
+    return [
+        (own, np.stack([(next(found) - fit.misfit) / step for step in some], axis=1))
+        for fit, own, some in zip(fits, numbers, steps, strict=True)
     ]

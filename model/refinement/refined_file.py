@@ -18,10 +18,10 @@ from model.prediction.explanation import RefinedImage
 from model.prediction.prediction_files import FilePrediction, predict_file
 from model.prediction.predictor import load
 from model.refinement.explaining import explained
-from model.refinement.family import family_of, refuse_misfit
+from model.refinement.family import Family, family_of, refuse_misfit
 from model.refinement.light.corner_light import CornerLight, with_camera_at
 from model.refinement.light_figure import light_figure
-from model.refinement.refining import Family, refined
+from model.refinement.refining import refined
 from model.refinement.room import corner_of, refuse_unseen_wall
 from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS, Unknown
 from model.settings.run import DeviceName

@@ -91,7 +91,7 @@ class RefinementReport:
         """All numbers as plain data."""
         before, after = ([getattr(s, part).metrics() for s in self.scenes] for part in ("network", "refined"))
         return {
-            "schema_version": 3,
+            "schema_version": 4,
             "scene_count": len(self.scenes),
             "accepted_count": sum(scene.accepted for scene in self.scenes),
             "network": asdict(summarise(before)),

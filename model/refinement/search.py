@@ -1,172 +1,192 @@
-"""Where a fit may start: solids whose mirror image is most like the depth map of a network.
-
-The hidden light of an object has many local minima over its rotations, so a fit needs a start within about 20
-degrees. A network's depth map says where the object is to a few centimetres, and little of its far side.
-"""
+"""The search for the solids whose light is that of a measurement: many starts, and fits of ever fewer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from disk.quantities import Extent
-from itof import DepthMap
-from model.refinement.light.corner_light import CornerLight, Mirror, euler_deg, vector
-from scenegen.scene import HiddenObject, Scene
+from model.refinement.evidence import Prior
+from model.refinement.family import Family
+from model.refinement.least_squares import Asked, Comparison, Fit, least_misfits
+from model.refinement.pairs import Pairs
+from model.refinement.sketch import Draws, Sketch
+from model.refinement.unknowns import Fitted
+from model.refinement.wall_brightness import walls_as_bright
+from scenegen.scene import HiddenObject, RelayWall, Scene
 from scenegen.shapes import Shape
 
-Floats = NDArray[np.float64]
-_INWARDS_M: Final = 0.12  # about, from the middle of a visible surface to that of its solid
-_ALIGNMENTS: Final = 2  # of the middles of both visible surfaces
-_COLUMNS: Final = 20  # of the depth maps that are compared
-_LARGER: Final = 1.5  # what unknown extents are at first, times the given ones, at most; or less by as much
+_SAME_M: Final = 0.001  # two fits whose mirror images differ by less are one
+_CERTAIN: Final = (0.004, 0.0028)  # a fit of one or two solids that leaves less unexplained ends the search
+_LIKELY: Final = 2.5  # so does one with less evidence against it
+_ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
+_FINE_STEPS, _WALLS = 4, 2
+_LIBRARY: Final = 400  # solids of each shape of which pairs are made
+_EXCHANGED, _OTHERS = 6, 6  # pairs of which one solid is exchanged, and for how many others
 
 
 @dataclass(frozen=True)
-class Draws:
-    """N solids of one shape: (N, 3, 3) axes as columns, (N, 3) places and extents, metres."""
+class _Singles:
+    """How many single solids of each shape are drawn, compared with the light, and fitted."""
 
-    shape: Shape
-    axes: Floats
-    centres_m: Floats
-    sizes_m: Floats
-
-    @classmethod
-    def of(
-        cls,
-        shape: Shape,
-        size_m: Extent,
-        at_m: Floats,
-        count: int,
-        rng: np.random.Generator,
-        *,
-        fits_sizes: bool,
-    ) -> Draws:
-        """In even random rotations about one place (3,), and of other sizes if these are not known."""
-        count = 1 if shape == "sphere" and not fits_sizes else count
-        axes = Rotation.random(count, random_state=rng).as_matrix()
-        factor = rng.uniform(-1, 1, count) if fits_sizes else np.zeros(count)
-        sizes_m = _LARGER ** factor[:, None] * np.asarray(size_m)
-        return cls(shape, axes, np.tile(at_m, (count, 1)), sizes_m)
-
-    def moved(self, by_m: Floats) -> Draws:
-        """Each moved by a vector (N, 3)."""
-        return replace(self, centres_m=self.centres_m + by_m)
-
-    def solid(self, place: int) -> HiddenObject:
-        """One of them."""
-        centre_m, size_m = (vector(each[place]) for each in (self.centres_m, self.sizes_m))
-        return HiddenObject(self.shape, size_m, centre_m, euler_deg(self.axes[place]), 1.0)
+    drawn: int
+    lit: int
+    fitted: int
 
 
 @dataclass(frozen=True)
-class Sketch:
-    """A depth map with few pixels: (P, 3) unit rays, (P,) radial depth, 0 beside the object.
+class _Funnel:
+    """How many of some fits take how many steps, one after the other; and how many move on finer grids."""
+
+    steps: tuple[tuple[int, int], ...]
+    polished: int
+
+
+_FIRST, _MORE = _Singles(300, 10, 4), _Singles(900, 24, 8)
+_OF_FIRST, _OF_MORE = _Funnel(((24, 3), (8, 10)), 3), _Funnel(((48, 6), (16, 10)), 6)
+_OF_PAIRS: Final = _Funnel(((60, 3), (24, 4), (8, 8)), 6)
+_LIT_PAIRS: Final = 30  # of each two shapes
+_Begin = Callable[[list[Fit]], list[Fit]]
+
+
+@dataclass(frozen=True)
+class Search:
+    """The search for the solids of one measurement.
 
     Attributes
     ----------
-    corner : whose camera sees the relay wall where the measurement shows it; `plane_per_m` is its plane.
+    coarse, fine : comparisons with its light, to begin and to end with.
+    sketch : depth map of the network.
+    prior : of the network.
     """
 
-    light: CornerLight
-    corner: Scene
-    plane_per_m: Floats
-    rays: Floats
-    radial_depth_m: Floats
-
-    @classmethod
-    def of(
-        cls,
-        light: CornerLight,
-        corner: Scene,
-        plane_per_m: Floats,
-        rays: Floats,
-        shown: DepthMap,
-        columns: int = _COLUMNS,
-    ) -> Sketch:
-        """A depth map (H, W) with rays (H, W, 3), of which about so many columns are left."""
-        step = max(1, rays.shape[1] // columns)
-        cut = (slice(step // 2, None, step), slice(step // 2, None, step))
-        depth_m = np.where(shown.mask, shown.radial_depth_m, 0.0)[cut].ravel().astype(np.float64)
-        return cls(light, corner, plane_per_m, rays[cut].reshape(-1, 3), depth_m)
+    coarse: Comparison
+    fine: Comparison
+    sketch: Sketch
+    prior: Prior
+    family: Family
 
     @property
-    def is_empty(self) -> bool:
-        """Whether no pixel shows an object."""
-        return not self.radial_depth_m.any()
+    def fitted(self) -> Fitted:
+        """What is unknown at last."""
+        return Fitted(True, self.family.fits_sizes, room=not self.fine.knows_camera)
 
-    def depths_m(self, candidates: Sequence[Scene]) -> Floats:
-        """(N, P) mirror images of the objects of candidates in this corner."""
-        wall, camera = self.corner.relay_wall, self.corner.camera
-        return self.light.mirrored_depth_m(
-            [replace(candidate, relay_wall=wall, camera=camera) for candidate in candidates], self.rays
-        )
+    def fits(self, rng: np.random.Generator) -> list[Fit]:
+        """The best fits, the best first, each with the wall where it is behind its solids."""
+        best: list[Fit] = []
+        for begin, funnel in self._rounds(rng):
+            found = self._sorted([*best, *self._funnelled(begin(best), funnel)])
+            best = self._different(found, len(found))
+            if best and self._is_certain(best[0]):
+                break
+        return best
 
-    def differences_m(self, candidates: Sequence[Scene]) -> Floats:
-        """(N,) mean absolute differences to the mirror images of candidates, over all pixels."""
-        return self._differences_m(self.depths_m(candidates))
+    def _rounds(self, rng: np.random.Generator) -> Iterator[tuple[_Begin, _Funnel]]:
+        """How each round begins with the best fits of those before, while these are not certain."""
+        walls = self._walls()
+        yield lambda _: self._singles(_FIRST, walls, rng), _OF_FIRST
+        if self.family.apart_m is not None and len(self.family.sizes) > 1:
+            pairs = self._pairs(self.family.apart_m, walls, rng)
+            yield lambda _: self._lit(pairs.starts(_LIT_PAIRS)), _OF_PAIRS
+            yield lambda best: self._lit(pairs.exchanged(_two_solids(best)[:_EXCHANGED], _OTHERS)), _OF_PAIRS
+        yield lambda _: self._singles(_MORE, walls, rng), _OF_MORE
 
-    def starts(
-        self,
-        shape: Shape,
-        size_m: Extent,
-        counts: tuple[int, int],
-        rng: np.random.Generator,
-        *,
-        fits_sizes: bool = False,
-    ) -> list[Scene]:
-        """Of so many solids in random rotations, those most like the depth map, the best first.
+    def _is_certain(self, fit: Fit) -> bool:
+        """Whether a fit is so good that others need not be tried."""
+        certain = _CERTAIN[len(fit.candidate.hidden_objects) - 1]
+        return fit.unexplained <= certain or self.prior.against([fit])[0] <= _LIKELY
 
-        Parameters
-        ----------
-        counts : how many are drawn, and how many are returned at most.
-        fits_sizes : whether the solids are larger or smaller at random.
-        """
-        draws = Draws.of(shape, size_m, self._inner_m(), counts[0], rng, fits_sizes=fits_sizes)
-        depths_m = self._depths_m(draws)
-        for _ in range(_ALIGNMENTS):
-            by_m = self._middles_m(self.radial_depth_m[None]) - self._middles_m(depths_m)
-            draws = draws.moved(np.nan_to_num(by_m))
-            depths_m = self._depths_m(draws)
-        order = np.argsort(self._differences_m(depths_m), kind="stable")
-        order = order[depths_m[order].any(axis=1)][: counts[1]]
-        return [replace(self.corner, hidden_objects=(draws.solid(place),)) for place in order.tolist()]
+    def _walls(self) -> list[RelayWall]:
+        """The relay wall as it may be: with each roughness, and as bright as the amplitudes show."""
+        corner, observed = self.sketch.corner, self.coarse.observed
+        wall = corner.relay_wall
+        rough = [None] if wall.roughness is None else _ROUGHNESS
+        corners = [replace(corner, relay_wall=replace(wall, roughness=each)) for each in rough]
+        return walls_as_bright(corners, observed.rays, observed.amplitude, self.coarse.light)
 
-    def _depths_m(self, draws: Draws) -> Floats:
-        """(N, P) mirror images of solids."""
-        arrays = (draws.axes, draws.centres_m, draws.sizes_m)
-        return self.light.depths_of_solids_m(self.corner, draws.shape, *arrays, self.rays)
+    def _singles(self, effort: _Singles, walls: Sequence[RelayWall], rng: np.random.Generator) -> list[Fit]:
+        """Starts of single solids, each with the wall that explains most."""
+        counts, fits_sizes = (effort.drawn, effort.lit), self.family.fits_sizes
+        found = []
+        for shape, size_m in self.family.sizes.items():
+            starts = self.sketch.starts(shape, size_m, counts, rng, fits_sizes=fits_sizes)
+            fits = self._lit([replace(start, relay_wall=each) for start in starts for each in walls])
+            best: dict[tuple[HiddenObject, ...], Fit] = {}
+            for fit in fits:
+                best.setdefault(fit.candidate.hidden_objects, fit)
+            found += list(best.values())[: effort.fitted]
+        return found
 
-    def _differences_m(self, depths_m: Floats) -> Floats:
-        differences: Floats = np.abs(depths_m - self.radial_depth_m).mean(axis=1)
-        return differences
+    def _pairs(self, apart_m: float, walls: Sequence[RelayWall], rng: np.random.Generator) -> Pairs:
+        """Solids of all shapes, of which pairs can be made."""
+        sketch, fits_sizes = self.sketch, self.family.fits_sizes
+        draws = [
+            Draws.of(shape, size_m, sketch.inner_m, _LIBRARY, rng, fits_sizes=fits_sizes)
+            for shape, size_m in self.family.sizes.items()
+        ]
+        return Pairs.of(sketch, self.coarse, draws, apart_m, walls, rng)
 
-    def _inner_m(self) -> Floats:
-        """(3,) a point somewhat behind the middle of the visible points, in world axes."""
-        inwards = self._mirror.away(self.rays[self.radial_depth_m > 0]).mean(axis=0)
-        middle_m = self._middles_m(self.radial_depth_m[None])[0]
-        inner: Floats = middle_m + _INWARDS_M * inwards / np.linalg.norm(inwards)
-        return inner
+    def _lit(self, starts: Sequence[Scene]) -> list[Fit]:
+        """Starts with their light; those that explain most come first."""
+        fits = least_misfits([(self.coarse, start) for start in starts], steps=0)
+        return sorted(fits, key=lambda fit: fit.misfit)
 
-    def _middles_m(self, depths_m: Floats) -> Floats:
-        """(N, 3) middles of the points of depth maps (N, P), in world axes; NaN where there are none."""
-        start, along = self._lines
-        with np.errstate(invalid="ignore"):
-            middles: Floats = start + depths_m @ along / np.count_nonzero(depths_m, axis=1)[:, None]
-        return middles
+    def _funnelled(self, fits: Sequence[Fit], funnel: _Funnel) -> list[Fit]:
+        """The minima near the best of some fits."""
+        fitted = Fitted(roughness=True, sizes=self.family.fits_sizes)
+        for place, (count, steps) in enumerate(funnel.steps):
+            fits = self._different(fits, count)
+            are_pairs = any(len(fit.candidate.hidden_objects) > 1 for fit in fits)
+            fits = least_misfits(
+                _starts(fits), steps=steps, fitted=fitted, one_sided=are_pairs and place == 0
+            )
+            fits = self._sorted(fits) if are_pairs else _best_of_each_shape_first(self._sorted(fits))
+        return self._polished(self._sorted(fits)[: funnel.polished])
 
-    @cached_property
-    def _lines(self) -> tuple[Floats, Floats]:
-        """(3,) where the reflected rays begin, and (P, 3) their directions, in world axes."""
-        start = self._mirror.points_m(np.zeros(1), self.rays[:1])[0]
-        return start, self._mirror.away(self.rays)
+    def _different(self, fits: Sequence[Fit], count: int) -> list[Fit]:
+        """The first fits of which none is like another one."""
+        sketch = self.prior.sketch
+        depths_m = sketch.depths_m([fit.candidate for fit in fits]) if fits else np.zeros((0, 0))
+        chosen: list[int] = []
+        for place, depth_m in enumerate(depths_m):
+            apart_m = [np.abs(depth_m - depths_m[other]).mean() for other in chosen]
+            if len(chosen) < count and all(each >= _SAME_M for each in apart_m):
+                chosen.append(place)
+        return [fits[place] for place in chosen]
 
-    @property
-    def _mirror(self) -> Mirror:
-        return Mirror(self.corner.camera, self.plane_per_m)
+    def _polished(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Minima of the fine comparison, with the wall found again behind each solid."""
+        starts: Asked = [(self.fine, fit.candidate) for fit in fits]
+        found: list[Fit] = []
+        for _ in range(_WALLS):
+            starts = [each.behind(candidate) for each, candidate in starts]
+            found = least_misfits(starts, steps=_FINE_STEPS, fitted=self.fitted)
+            starts = _starts(found)
+        return found
+
+    def _sorted(self, fits: Sequence[Fit]) -> list[Fit]:
+        """By the evidence against them."""
+        return [fits[place] for place in np.argsort(self.prior.against(fits), kind="stable").tolist()]
+
+
+def _starts(fits: Sequence[Fit]) -> Asked:
+    """Where fits have ended, to go on."""
+    return [(fit.comparison, fit.candidate) for fit in fits]
+
+
+def _best_of_each_shape_first(fits: Sequence[Fit]) -> list[Fit]:
+    """Fits in their order, but the first of each shape before all others: long valleys need many steps."""
+    seen: set[Shape] = set()
+    later = []
+    for fit in fits:
+        (solid,) = fit.candidate.hidden_objects
+        later.append(solid.shape in seen)
+        seen.add(solid.shape)
+    return [fits[place] for place in np.argsort(later, kind="stable").tolist()]
+
+
+def _two_solids(fits: Sequence[Fit]) -> list[Scene]:
+    """The candidates of the fits of two solids."""
+    return [fit.candidate for fit in fits if len(fit.candidate.hidden_objects) > 1]

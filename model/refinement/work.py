@@ -28,9 +28,10 @@ from model.judging.refusals import EvaluationError
 from model.network.metrics import ImageMetrics, image_metrics
 from model.prediction.predictor import Predictor, load
 from model.refinement.explaining import explained
+from model.refinement.family import Family
 from model.refinement.light.corner_light import CornerLight, known_corner
 from model.refinement.refined_result import RefinedScene, SceneNumbers
-from model.refinement.refining import Family, refined
+from model.refinement.refining import refined
 from model.refinement.settings import Unknown
 from model.run_folder.run_config import Sha256
 from model.settings.run import DeviceName
@@ -57,9 +58,10 @@ class Recipe:
     split: Split
     sizes_m: dict[str, Vector]
     reflectance: float | None
+    apart_m: float | None
     unknown: tuple[Unknown, ...]
     largest_misfit: float
-    schema_version: Literal[5] = 5
+    schema_version: Literal[6] = 6
 
 
 @dataclass(frozen=True)

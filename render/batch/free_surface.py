@@ -1,9 +1,9 @@
 """What of a surface is outside the other solids of its scene.
 
 A solid is where none of a few functions g is above 0: |x_i| - s_i / 2 for the sides of its box, and its
-quadric. Over the part of another surface that a point stands for, g is taken to be linear. With the gradient ∇g
-along the surface, a part of the width w is free by 1/2 + g / (w |∇g|), between 0 and 1. The largest share of
-the functions counts, and the smallest of all solids.
+quadric. Over the part of another surface that a point stands for, g is taken to be linear. With the
+gradient ∇g along the surface, a part of the width w is free by 1/2 + g / (w |∇g|), between 0 and 1. The
+largest share of the functions counts, and the smallest of all solids.
 """
 
 from __future__ import annotations

@@ -179,18 +179,19 @@ def ratios(
         kernels.wall_records(batch, upload_indices(nodes.scene), upload_points(nodes.values[:, :3]))
         for nodes in (film, seen)
     )
-    table, scene = upload(surface.values), upload_indices(surface.scene)
+    table, own = upload(surface.values[:, :8]), upload_indices(surface.values[:, 8].astype(np.int64))
+    scene = upload_indices(surface.scene)
     flux = upload(film.values[:, 3])
     dr.eval(lit, back)
     index = dr.arange(mi.UInt32, len(surface.scene))
     ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (film.first, film.last)]
-    real, imaginary = kernels.irradiance(batch, scene, table, index, lit, flux, *ends)
+    real, imaginary = kernels.irradiance(batch, scene, table, own, index, lit, flux, *ends)
     sent = kernels.sent(real, imaginary, dr.gather(mi.Float, table, index * 8 + 3))
     dr.eval(sent)
     scene = upload_indices(seen.scene)
     ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (surface.first, surface.last)]
     index = dr.arange(mi.UInt32, len(seen.scene))
-    sums = kernels.over_direct(batch, scene, back, index, table, sent, *ends)
+    sums = kernels.over_direct(batch, scene, back, index, table, own, sent, *ends)
     dr.eval(sums)
     return np.stack([np.array(re) + 1j * np.array(im) for re, im in zip(*sums, strict=True)], axis=-1)
 

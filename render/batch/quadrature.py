@@ -6,7 +6,7 @@ Each scene has its own numbers of nodes: a level has about twice the points of t
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from render.batch.chebyshev import chebyshev
 from render.batch.free_surface import free_parts
+from render.batch.quadrics import is_convex
 from render.batch.surface_points import UnitPoints, surface_points
-from render.batch.tables import PlacedObject, Scenes
+from render.batch.tables import Scenes
 from render.walls.corners import Corners
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
@@ -29,6 +30,7 @@ _LATTICE_STEP: Final = 1.2  # of its sizes
 _FEWEST_NODES: Final = 6
 _AT_FIRST: Final = 20.0  # error of polynomials of degree 0, about
 _LIFT: Final = 5e-4  # of the largest extent: rays of a surface start above the chords of round meshes
+_NO_SOLID: Final = 2**32 - 1  # of points that their own object can hide
 _LEAST_REACH: Final = 1e-3  # of the largest m · r in an image: nodes beyond meet the wall at this distance
 
 
@@ -142,20 +144,21 @@ def finer_lattice(sizes: Ints, steps: Floats | int = 1) -> Ints:
 
 
 def surface_nodes(scenes: Scenes, chosen: Ints, level: Ints, meshes: Mapping[Shape, UnitMesh]) -> Nodes:
-    """Place, area times reflectance, normal, and lift of the points of the hidden surfaces (M, 8).
+    """Place, area times reflectance, normal, lift and convex solid of the points of hidden surfaces (M, 9).
 
     Points that face no lit part of the wall are left out.
     """
     level_of = dict(zip(chosen.tolist(), level.tolist(), strict=True))
-    groups: dict[tuple[Shape, int], list[PlacedObject]] = {}
+    groups: dict[tuple[Shape, int], list[int]] = {}
+    for place, placed in enumerate(scenes.objects):
+        if placed.scene in level_of:
+            groups.setdefault((placed.shape, level_of[placed.scene]), []).append(place)
     facing = _corners_of_walls(scenes)
     scene, values = [], []
-    for placed in scenes.objects:
-        if placed.scene in level_of:
-            groups.setdefault((placed.shape, level_of[placed.scene]), []).append(placed)
-    for (shape, one), some in groups.items():
-        others = [_others(scenes, placed) for placed in some]
-        number, rows = _placed_points(surface_points(shape, one, meshes[shape]), some, others, facing)
+    for (shape, one), places in groups.items():
+        number, rows = _placed_points(
+            surface_points(shape, one, meshes[shape]), scenes, np.array(places), facing
+        )
         scene.append(number)
         values.append(rows)
     return Nodes.of(len(scenes.scenes), np.concatenate(scene), np.concatenate(values))
@@ -176,10 +179,9 @@ def _corners_of_walls(scenes: Scenes) -> Floats:
     return on_wall(scenes.corners, nodes)
 
 
-def _placed_points(
-    points: UnitPoints, some: Sequence[PlacedObject], others: Sequence[Sequence[PlacedObject]], walls: Floats
-) -> tuple[Ints, Floats]:
-    """Scene (M,) and rows (M, 8) of `surface_nodes` of n objects of one shape, each with `others`."""
+def _placed_points(points: UnitPoints, scenes: Scenes, places: Ints, walls: Floats) -> tuple[Ints, Floats]:
+    """Scene (M,) and rows (M, 9) of `surface_nodes` of n of the objects, all of one shape."""
+    some = [scenes.objects[place] for place in places]
     axes, size = np.stack([each.axes for each in some]), np.stack([each.size for each in some])
     centre, number = np.stack([each.centre for each in some]), np.array([each.scene for each in some])
     at = np.einsum("nij,nsj->nsi", axes, points.points * size[:, None]) + centre[:, None]
@@ -187,21 +189,19 @@ def _placed_points(
     length = np.linalg.norm(normal, axis=-1)
     area = points.areas * size.prod(1)[:, None] * length  # (n, S)
     normal = np.einsum("nij,nsj->nsi", axes, normal / length[..., None])
+    others = [[each for each in scenes.objects_of(one.scene) if each is not one] for one in some]
     free, at = free_parts(at, normal, area, others)
     reflected = free * area * np.array([each.reflectance for each in some])[:, None]
-    lift = np.broadcast_to(_LIFT * size.max(1)[:, None, None], (*area.shape, 1))
-    rows = np.concatenate([at, reflected[..., None], normal, lift], axis=-1)
-    kept = _faces(rows, walls[number]) & (free > 0)
-    return np.repeat(number, kept.sum(1)), rows[kept]
-
-
-def _others(scenes: Scenes, placed: PlacedObject) -> list[PlacedObject]:
-    """The other objects of the scene of an object."""
-    return [each for each in scenes.objects_of(placed.scene) if each is not placed]
+    own = places if is_convex(some[0].shape) else np.full(len(some), _NO_SOLID)
+    of_object = np.stack([_LIFT * size.max(1), own], axis=-1)[:, None]  # (n, 1, 2)
+    rows = [at, reflected[..., None], normal, np.broadcast_to(of_object, (*area.shape, 2))]
+    table = np.concatenate(rows, axis=-1)
+    kept = _faces(table, walls[number]) & (free > 0)
+    return np.repeat(number, kept.sum(1)), table[kept]
 
 
 def _faces(rows: Floats, wall: Floats) -> NDArray[np.bool_]:
-    """(..., M) which points (..., M, 8) face a corner (..., 4, 3) of the wall's part that the image shows."""
+    """(..., M) which points (..., M, 9) face a corner (..., 4, 3) of the wall's part that the image shows."""
     normal = rows[..., 4:7]
     towards = normal @ np.swapaxes(wall, -1, -2) - (rows[..., :3] * normal).sum(-1)[..., None]
     return np.asarray((towards > 0).any(-1))

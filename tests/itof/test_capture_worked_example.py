@@ -157,7 +157,7 @@ def test_solids_that_explain_what_the_camera_has_measured_are_where_the_objects_
     assert accepted
     for scene, there in accepted:
         assert 0 < scene["noise"] < 0.1
-        places_m = made.scene(there).hidden_objects[0].location_m, scene["solid"]["location_m"]
+        places_m = made.scene(there).hidden_objects[0].location_m, scene["solids"][0]["location_m"]
         views = wall_view(made), wall_view(real)
         true, at = (
             np.asarray(view.camera_axes) @ (np.array(place_m) - view.camera_location_m)

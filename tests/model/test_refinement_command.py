@@ -63,7 +63,7 @@ def test_solids_are_found_and_their_depth_maps_are_better(refined, dataset):
     assert result["accepted_count"] == 2
     for scene in result["scenes"]:
         (true,) = open_dataset(dataset).scene(scene["scene"]).hidden_objects
-        solid = scene["found"]["solid"]
+        solid = scene["found"]["solids"][0]
         assert solid["shape"] == true.shape
         # A centimetre is 0.4 % of the way, four times the error that 0.5 % of noise leaves.
         np.testing.assert_allclose(solid["location_m"], true.location_m, atol=0.01)
@@ -143,8 +143,8 @@ def test_only_the_objects_of_another_preset_are_tried(dataset, tmp_path):
     assert done.returncode == 0, done.stderr
     scenes = json.loads((tmp_path / "out" / "refined.json").read_text())["scenes"]
     found = [scene["found"] for scene in scenes]
-    assert [each["solid"]["shape"] for each in found] == ["sphere", "sphere"]
-    assert all(each["solid"]["size_m"] == [0.5, 0.5, 0.5] for each in found)
+    assert [each["solids"][0]["shape"] for each in found] == ["sphere", "sphere"]
+    assert all(each["solids"][0]["size_m"] == [0.5, 0.5, 0.5] for each in found)
     assert not any(each["accepted"] for each in found)  # a cube, and a larger sphere
 
 
@@ -199,7 +199,7 @@ def test_a_model_that_explains_no_light_asks_for_the_middle_wall():
         numbers = SceneNumbers(0.01, None, 0.5, 0.9)
         solid = FoundSolid("cube", *((0.5, 0.5, 0.5),) * 6)
         found = [
-            None if misfit is None else Explanation(solid, False, misfit, 0.0, 0.0, 0.01, 1.0, None)
+            None if misfit is None else Explanation((solid,), False, misfit, 0.0, 0.0, 0.01, 1.0, None)
             for misfit in misfits
         ]
         scenes = [RefinedScene("000000", "cube", numbers, numbers, None, each) for each in found]
@@ -280,7 +280,7 @@ def test_solids_are_found_where_each_scene_has_its_camera_elsewhere(make_dataset
     assert len(accepted) >= 2
     for scene in accepted:
         (true,) = made.scene(scene.scene).hidden_objects
-        assert scene.found.solid.shape == true.shape
-        np.testing.assert_allclose(scene.found.solid.location_m, true.location_m, atol=0.02)
+        assert scene.found.solids[0].shape == true.shape
+        np.testing.assert_allclose(scene.found.solids[0].location_m, true.location_m, atol=0.02)
         assert scene.found.reflectance == pytest.approx(true.reflectance, rel=0.1)
         assert scene.refined.depth_mae_m < scene.network.depth_mae_m

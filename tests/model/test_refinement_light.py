@@ -9,10 +9,11 @@ from numpy.linalg import norm
 from itof import DepthMap, TransientLayout, pixel_rays
 from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
+from model.refinement.family import Family
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, least_misfits
 from model.refinement.light.corner_light import CornerLight, known_corner, with_camera_at, with_wall_at
-from model.refinement.refining import Family, refined
+from model.refinement.refining import refined
 from model.refinement.unknowns import Fitted, moved, stretched
 from model.refinement.wall_brightness import walls_as_bright
 from scenegen import camera_axes, preset_from_dict, sample_valid_scene

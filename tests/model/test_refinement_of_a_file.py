@@ -59,12 +59,12 @@ def test_place_size_and_reflectance_of_a_solid_are_found_from_a_file(refined, da
     (image,) = record["images"]
     found, (true,) = image["explanation"], dataset.scene("000001").hidden_objects
     assert found["accepted"]
-    assert found["solid"]["shape"] == "sphere"
+    assert found["solids"][0]["shape"] == "sphere"
     # A larger and darker sphere has nearly the same light: 0.5 % of noise tells them apart to some per cent.
-    np.testing.assert_allclose(found["solid"]["size_m"], true.size_m, rtol=0.1)
+    np.testing.assert_allclose(found["solids"][0]["size_m"], true.size_m, rtol=0.1)
     assert found["reflectance"] == pytest.approx(true.reflectance, rel=0.15)
-    away_m = np.array(found["solid"]["location_m"]) - true.location_m
-    assert (np.abs(away_m) < 0.01 + 3 * np.array(found["solid"]["location_std_m"])).all()
+    away_m = np.array(found["solids"][0]["location_m"]) - true.location_m
+    assert (np.abs(away_m) < 0.01 + 3 * np.array(found["solids"][0]["location_std_m"])).all()
     assert image["expected_mae_m"] == found["expected_mae_m"]
     assert "a sphere leaves" in said
     truth = DepthMap.read(dataset.render_folder("000001") / "mirrored.exr")
@@ -86,7 +86,7 @@ def test_a_room_may_be_off_by_centimetres(dataset, measured, tmp_path):
     )
     found, (true,) = done.images[0].explanation, dataset.scene("000001").hidden_objects
     assert found.accepted
-    moved_m = np.array(found.solid.location_m) - true.location_m
+    moved_m = np.array(found.solids[0].location_m) - true.location_m
     np.testing.assert_allclose(moved_m, [0, 0.02, 0], atol=0.01)  # with the camera, along the wall
 
 
@@ -112,7 +112,7 @@ def test_only_given_solids_are_tried_and_what_does_not_explain_the_light_is_no_a
     done = model.refine(*(RUN, measured, tmp_path / "out"), objects=objects, device="cpu", progress=False)
     (image,) = done.images
     assert not image.explanation.accepted
-    assert image.explanation.solid.size_m == objects.hidden_object.size_m.concave_plane
+    assert image.explanation.solids[0].size_m == objects.hidden_object.size_m.concave_plane
     assert "no solid is accepted; the best, a concave plane, leaves" in image.sentence
 
 

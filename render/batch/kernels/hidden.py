@@ -29,6 +29,7 @@ def _exchanged(
     point: mi.Point3f,
     facing: mi.Vector3f,
     lifted: mi.Point3f,
+    own: mi.UInt32,
 ) -> tuple[mi.Float, mi.Float]:
     """Strength of the way between a wall point's record and a surface point, 1/m² sr, and its length."""
     at = mi.Point3f(one.x, one.y, one.z)
@@ -39,7 +40,7 @@ def _exchanged(
     cosine = -dr.dot(to, facing)
     value = wall.lobe(-at / one.w, to, two.x, two.y) * cosine * dr.square(inverse)
     lit = (cosine > 0) & (value > 0) & ~wall.hides(at, point)
-    lit &= ~in_shadow(batch.shadows, scene, lifted, at - lifted, lit)
+    lit &= ~in_shadow(batch.shadows, scene, lifted, own, at - lifted, lit)
     return dr.select(lit, value, 0), squared * inverse
 
 
@@ -48,23 +49,27 @@ def irradiance(
     batch: Batch,
     scene: mi.UInt32,
     surface: mi.Float,
+    own: mi.UInt32,
     index: mi.UInt32,
     film: mi.Float,
     flux: mi.Float,
     first: mi.UInt32,
     last: mi.UInt32,
 ) -> tuple[list[mi.Float], list[mi.Float]]:
-    """Complex irradiance of surface points, for each frequency: a sum over the film points of their scene."""
+    """Complex irradiance of surface points, for each frequency: a sum over the film points of their scene.
+
+    `own` is the convex solid on which each surface point is, and which hides nothing from it.
+    """
     wall = Wall(batch, scene)
     one, two = dr.gather(QUAD, surface, 2 * index), dr.gather(QUAD, surface, 2 * index + 1)
     point, facing = mi.Point3f(one.x, one.y, one.z), mi.Vector3f(two.x, two.y, two.z)
-    lifted = point + two.w * facing
+    lifted, its = point + two.w * facing, dr.gather(mi.UInt32, own, index)
     count = len(batch.phase_per_metre)
     re, im = [mi.Float(0) for _ in range(count)], [mi.Float(0) for _ in range(count)]
     place = mi.UInt32(first)
     while place < last:
         one_there, two_there = dr.gather(QUAD, film, 2 * place), dr.gather(QUAD, film, 2 * place + 1)
-        value, length = _exchanged(batch, wall, scene, one_there, two_there, point, facing, lifted)
+        value, length = _exchanged(batch, wall, scene, one_there, two_there, point, facing, lifted, its)
         value *= dr.gather(mi.Float, flux, place)
         for f in range(count):
             sine, cosine = dr.sincos(batch.phase_per_metre[f] * (length + one_there.w))
@@ -95,13 +100,14 @@ def over_direct(
     lattice: mi.Float,
     index: mi.UInt32,
     surface: mi.Float,
+    own: mi.UInt32,
     sent: mi.Float,
     first: mi.UInt32,
     last: mi.UInt32,
 ) -> tuple[list[mi.Float], list[mi.Float]]:
     """Hidden light of wall points over their direct light: a sum over the surface points of their scene.
 
-    `sent` are Re and Im of what each surface point sends, by frequency.
+    `own` are as for `irradiance`, `sent` Re and Im of what each surface point sends, by frequency.
     """
     wall = Wall(batch, scene)
     one, two = dr.gather(QUAD, lattice, 2 * index), dr.gather(QUAD, lattice, 2 * index + 1)
@@ -112,8 +118,8 @@ def over_direct(
         one_there, two_there = dr.gather(QUAD, surface, 2 * place), dr.gather(QUAD, surface, 2 * place + 1)
         point = mi.Point3f(one_there.x, one_there.y, one_there.z)
         facing = mi.Vector3f(two_there.x, two_there.y, two_there.z)
-        lifted = point + two_there.w * facing
-        value, length = _exchanged(batch, wall, scene, one, two, point, facing, lifted)
+        lifted, its = point + two_there.w * facing, dr.gather(mi.UInt32, own, place)
+        value, length = _exchanged(batch, wall, scene, one, two, point, facing, lifted, its)
         for f in range(count):
             sine, cosine = dr.sincos(batch.phase_per_metre[f] * (length - one.w))
             a = dr.gather(mi.Float, sent, (place * count + f) * 2)

@@ -100,12 +100,13 @@ class Shadows:
 
 @dr.syntax
 def in_shadow(
-    shadows: Shadows, scene: mi.UInt32, point: mi.Point3f, to: mi.Vector3f, active: mi.Bool
+    shadows: Shadows, scene: mi.UInt32, point: mi.Point3f, own: mi.UInt32, to: mi.Vector3f, active: mi.Bool
 ) -> mi.Bool:
-    """Whether an object of the scene lies between a point and the one at `to` from it."""
+    """Whether an object of the scene, but not the point's `own`, lies between a point and the one at `to`."""
     index, last = dr.gather(mi.UInt32, shadows.first, scene), dr.gather(mi.UInt32, shadows.last, scene)
+    index += dr.select(index == own, 1, 0)
     dark = mi.Bool(False)
     while active & (index < last) & ~dark:
         dark = shadows.meets(index, point, to, active)
-        index += 1
+        index += dr.select(index + 1 == own, 2, 1)
     return dark
