@@ -168,9 +168,9 @@ def test_a_second_solid_must_explain_more(comparison, sketch, truth):
 
 
 def test_a_preset_says_whether_two_solids_may_be_there():
-    hidden = {"composite_fraction": 0.2, "composite_offset_m": [-0.2, 0.1]}
-    assert family_of(preset_from_dict({"hidden_object": hidden}, "two"), ()).apart_m == 0.2
-    assert family_of(preset_from_dict({"hidden_object": {"composite_fraction": 0.0}}, "one"), ()).apart_m is None
+    two, one = {"composite_fraction": 0.2, "composite_offset_m": [-0.2, 0.1]}, {"composite_fraction": 0.0}
+    found = [family_of(preset_from_dict({"hidden_object": each}, "own"), ()) for each in (two, one)]
+    assert [family.apart_m for family in found] == [0.2, None]
 
 
 def test_two_solids_are_named():
