@@ -169,7 +169,7 @@ class Pairs:
         own = of_one**2 * (one.light**2).sum(1)[:, None] + of_two**2 * (two.light**2).sum(1)
         own += 2 * of_one * of_two * (one.light @ two.light.T)
         scales = _SCALES if self.comparison.reflectance is not None else (0.0, np.inf)
-        scale = np.clip(along / own, *scales)
+        scale = np.clip(along / np.maximum(own, np.finfo(np.float32).tiny), *scales)
         left: Floats = (power - 2 * scale * along + scale**2 * own) / power
         return left
 
