@@ -25,12 +25,14 @@ from model.refinement.unknowns import Fitted, Unknown, changed
 
 Floats = NDArray[np.float64]
 USUAL_MISFIT: Final = 0.002  # ε, of the right solids
+_WITH_FEW_NODES: Final = 0.006  # the same, of light with few nodes
 USUAL_M: Final = 0.02  # D of a network that expects none
 _LEAST_M: Final = 0.005  # of D
 # Independent values in the errors of a model. Chosen so that stated errors are the actual ones.
 _SMOOTH: Final = 14
 _OF_A_POSE: Final = 7  # unknowns of a solid, and the roughness of the wall
-_OF_ANOTHER: Final = 4.0  # about 2 ln 6: one of seven scenes has two solids
+# One of seven scenes has two solids, and each of six unknowns lowers a chi-squared by one, by chance.
+_OF_ANOTHER: Final = 2 * math.log(6) + 6
 _DRAWS: Final = 8
 _RIDGE: Final = 1e-9
 
@@ -67,7 +69,8 @@ def _in_errors(fit: Fit) -> float:
     """|v|² in units of the errors."""
     observed = fit.comparison.observed
     power = max(float(observed.values @ observed.values), float(np.finfo(float).tiny))
-    return power / (observed.noise**2 + USUAL_MISFIT**2 * power)
+    usual = USUAL_MISFIT if fit.comparison.fine else _WITH_FEW_NODES
+    return power / (observed.noise**2 + usual**2 * power)
 
 
 @dataclass(frozen=True)

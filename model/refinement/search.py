@@ -87,11 +87,11 @@ class Search:
         """How each round begins with the best fits of those before, while these are not certain."""
         walls = self._walls()
         yield lambda _: self._singles(_FIRST, walls, rng), _OF_FIRST
+        yield lambda _: self._singles(_MORE, walls, rng), _OF_MORE
         if self.family.apart_m is not None and len(self.family.sizes) > 1:
             pairs = self._pairs(self.family.apart_m, walls, rng)
             yield lambda _: self._lit(pairs.starts(_LIT_PAIRS)), _OF_PAIRS
             yield lambda best: self._lit(pairs.exchanged(_two_solids(best)[:_EXCHANGED], _OTHERS)), _OF_PAIRS
-        yield lambda _: self._singles(_MORE, walls, rng), _OF_MORE
 
     def _is_certain(self, fit: Fit) -> bool:
         """Whether a fit is so good that others need not be tried."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.batch.quadrics import NO_QUADRIC, is_convex, quadric_of
-from render.batch.tables import PlacedObject
+from render.batch.tables import PlacedObject, rotated
 
 Floats = NDArray[np.float64]
 _TINY = 1e-9  # metres: a gradient across the surface
@@ -62,7 +62,8 @@ def _functions(solids: Sequence[PlacedObject], at: Floats) -> Iterator[tuple[Flo
     """The functions g (m, S) of m solids at points (m, S, 3), and their gradients, which may be (m, S, 3)."""
     axes = np.stack([each.axes for each in solids])  # (m, 3, 3)
     size = np.stack([each.size for each in solids])[:, None]
-    own = np.matmul(at - np.stack([each.centre for each in solids])[:, None], axes) / size
+    from_centre = at - np.stack([each.centre for each in solids])[:, None]
+    own = rotated(np.swapaxes(axes, 1, 2), from_centre) / size
     for axis in range(3):
         side = np.sign(own[..., axis])[..., None]
         yield (np.abs(own[..., axis]) - 0.5) * size[..., axis], side * axes[:, None, :, axis]
@@ -71,6 +72,6 @@ def _functions(solids: Sequence[PlacedObject], at: Floats) -> Iterator[tuple[Flo
         return
     square, linear = quadrics[:, None, :3], quadrics[:, None, [3, 3, 4]] * [1, 0, 1]
     value = ((square * own + linear) * own).sum(-1) + quadrics[:, None, 5]
-    gradient = np.matmul((2 * square * own + linear) / size, np.swapaxes(axes, 1, 2))
+    gradient = rotated(axes, (2 * square * own + linear) / size)
     is_box = (quadrics == NO_QUADRIC).all(1)[:, None]
     yield np.where(is_box, -np.inf, value), gradient

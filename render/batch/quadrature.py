@@ -17,7 +17,7 @@ from render.batch.chebyshev import chebyshev
 from render.batch.free_surface import free_parts
 from render.batch.quadrics import is_convex
 from render.batch.surface_points import UnitPoints, surface_points
-from render.batch.tables import Scenes
+from render.batch.tables import Scenes, rotated
 from render.walls.corners import Corners
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
@@ -154,14 +154,14 @@ def surface_nodes(scenes: Scenes, chosen: Ints, level: Ints, meshes: Mapping[Sha
         if placed.scene in level_of:
             groups.setdefault((placed.shape, level_of[placed.scene]), []).append(place)
     facing = _corners_of_walls(scenes)
-    scene, values = [], []
-    for (shape, one), places in groups.items():
-        number, rows = _placed_points(
-            surface_points(shape, one, meshes[shape]), scenes, np.array(places), facing
-        )
-        scene.append(number)
-        values.append(rows)
-    return Nodes.of(len(scenes.scenes), np.concatenate(scene), np.concatenate(values))
+    found = [
+        _placed_points(surface_points(shape, one, meshes[shape]), scenes, np.array(places), facing)
+        for (shape, one), places in groups.items()
+    ]
+    place, values = (np.concatenate(each) for each in zip(*found, strict=True))
+    order = np.argsort(place, kind="stable")  # object by object, in any batch
+    scene = np.array([placed.scene for placed in scenes.objects])[place[order]]
+    return Nodes.of(len(scenes.scenes), scene, values[order])
 
 
 def on_wall(corners: Corners, nodes: Floats) -> Floats:
@@ -180,15 +180,15 @@ def _corners_of_walls(scenes: Scenes) -> Floats:
 
 
 def _placed_points(points: UnitPoints, scenes: Scenes, places: Ints, walls: Floats) -> tuple[Ints, Floats]:
-    """Scene (M,) and rows (M, 9) of `surface_nodes` of n of the objects, all of one shape."""
+    """Object (M,) and rows (M, 9) of `surface_nodes` of n of the objects, all of one shape."""
     some = [scenes.objects[place] for place in places]
     axes, size = np.stack([each.axes for each in some]), np.stack([each.size for each in some])
     centre, number = np.stack([each.centre for each in some]), np.array([each.scene for each in some])
-    at = np.einsum("nij,nsj->nsi", axes, points.points * size[:, None]) + centre[:, None]
+    at = rotated(axes, points.points * size[:, None]) + centre[:, None]
     normal = points.normals / size[:, None]  # (n, S, 3)
     length = np.linalg.norm(normal, axis=-1)
     area = points.areas * size.prod(1)[:, None] * length  # (n, S)
-    normal = np.einsum("nij,nsj->nsi", axes, normal / length[..., None])
+    normal = rotated(axes, normal / length[..., None])
     others = [[each for each in scenes.objects_of(one.scene) if each is not one] for one in some]
     free, at = free_parts(at, normal, area, others)
     reflected = free * area * np.array([each.reflectance for each in some])[:, None]
@@ -197,7 +197,7 @@ def _placed_points(points: UnitPoints, scenes: Scenes, places: Ints, walls: Floa
     rows = [at, reflected[..., None], normal, np.broadcast_to(of_object, (*area.shape, 2))]
     table = np.concatenate(rows, axis=-1)
     kept = _faces(table, walls[number]) & (free > 0)
-    return np.repeat(number, kept.sum(1)), table[kept]
+    return np.repeat(places, kept.sum(1)), table[kept]
 
 
 def _faces(rows: Floats, wall: Floats) -> NDArray[np.bool_]:

@@ -159,12 +159,12 @@ def test_one_sided_differences_lead_to_the_same_minimum(comparison, truth):
 
 def test_a_second_solid_must_explain_more(comparison, sketch, truth):
     single = replace(truth, hidden_objects=truth.hidden_objects[:1])
-    one, two = (Fit(comparison, each, 0.003, 0.003) for each in (single, truth))
+    one, two = (Fit(comparison, each, 0.003, 0.003) for each in (single, truth))  # as good as the other
     apart_m = sketch.differences_m([single, truth])
     prior = Prior.of(sketch, 0.02)
-    # Twice the logarithm of the odds of a composite in a preset, one to six, and what the depth map says.
-    expected = 2 * np.log(6) + (apart_m[1] ** 2 - apart_m[0] ** 2) / 0.02**2
-    assert np.diff(prior.against([one, two]))[0] == pytest.approx(expected, abs=0.5)
+    # Odds of one to six, six unknowns that lower a chi-squared by one each, and what the depth map says.
+    expected = 2 * np.log(6) + 6 + (apart_m[1] ** 2 - apart_m[0] ** 2) / 0.02**2
+    assert np.diff(prior.against([one, two]))[0] == pytest.approx(expected)
 
 
 def test_a_preset_says_whether_two_solids_may_be_there():
