@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 @pytest.fixture(scope="module")
 def two(make_dataset):
     """One scene with two solids that intersect."""
-    return make_dataset({"dataset": {"count": 1, "seed": 3}, "hidden_object": {"composite_fraction": 1.0}})
+    return make_dataset({"dataset": {"count": 1, "seed": 1}, "hidden_object": {"composite_fraction": 1.0}})
 
 
 @pytest.fixture(scope="module")
@@ -188,9 +188,13 @@ def test_two_solids_are_found_from_a_depth_map_that_is_off(comparison, phasor, w
     prediction = DepthMap.of_object(off, true.mask, HZ[0])
     family = family_of(Preset(), ())
     found = refined(phasor, prediction, 0.02, wall, known_corner(truth), comparison.light, family)
-    assert {each.shape for each in found.solids} == {part.shape for part in truth.hidden_objects}
     assert found.is_right(0.02)
+    assert found.misfit < 0.003
+    places_m = {part.shape: part.location_m for part in truth.hidden_objects}
+    assert set(places_m) == {each.shape for each in found.solids}
+    for each in found.solids:
+        np.testing.assert_allclose(each.location_m, places_m[each.shape], atol=0.02)
     metrics = image_metrics(
         found.depth_map.radial_depth_m, found.depth_map.mask, true.radial_depth_m, true.mask
     )
-    assert metrics.depth_mae_m < 0.01  # four pixels at edges; the prediction has 3 cm on the object
+    assert metrics.depth_mae_m < 0.006  # two pixels at edges
