@@ -50,7 +50,7 @@ def night_eval() -> None:
 
     \b
     night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
-    night-eval refine RUN INPUT --out DIR     find the solid that explains each measurement
+    night-eval refine RUN INPUT --out DIR     find the solids that explain each measurement
     night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
     night-eval export RUN --out MODEL.onnx    the network as an ONNX file
     night-eval capture import INPUT ...       measurements of the raw frames of a camera
@@ -126,7 +126,7 @@ def _refuse_mixed(given: Collection[str], *, behind_camera: bool) -> None:
     raise click.UsageError(f"{names}: for a camera; name one with --sensor")
 
 
-@night_eval.command("refine", short_help="Find the solid that explains each measurement.")
+@night_eval.command("refine", short_help="Find the solids that explain each measurement.")
 @click.argument("run", type=FOLDER)
 @click.argument("measured", metavar="INPUT", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Folder to write; one of a dataset is continued.")
@@ -178,7 +178,7 @@ def refine(
     unknown: tuple[Any, ...],
     **options: Any,
 ) -> None:
-    """Find the solid behind each measurement in INPUT, a dataset or a file as of `predict`.
+    """Find the solids behind each measurement in INPUT, a dataset or a file as of `predict`.
 
     A box, sphere, cylinder, cone or bent sheet is moved until its three-bounce light is the measured one,
     from where the depth map of RUN shows the object. Where none is accepted, the depth map stays as it is.

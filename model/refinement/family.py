@@ -1,4 +1,4 @@
-"""What the hidden object may be, from a preset; and what may be accepted."""
+"""What the hidden object may be, from a preset; and which limits of the misfit there are."""
 
 from __future__ import annotations
 

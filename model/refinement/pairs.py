@@ -22,7 +22,6 @@ from scenegen.scene import RelayWall, Scene
 from scenegen.shapes import Shape
 
 Floats = NDArray[np.float32]
-_AROUND: Final = 0.7  # times the largest distance between two solids: how far one is from the middle of both
 _USUAL_M: Final = 0.02  # difference of the depth maps
 _USUAL_MISFIT: Final = 0.05
 _DIMMED: Final = 0.7  # exponent of what is seen of a solid; fitted to pairs near depth maps
@@ -82,11 +81,9 @@ class Pairs:
         draws: Sequence[Draws],
         apart_m: float,
         walls: Sequence[RelayWall],
-        rng: np.random.Generator,
     ) -> Pairs:
-        """Pairs of some draws, which are moved at random, with that of some walls which explains most."""
-        moved = [each.moved(_AROUND * apart_m * rng.uniform(-1, 1, each.centres_m.shape)) for each in draws]
-        libraries = {each.shape: _Library.of(each, sketch) for each in moved}
+        """Pairs of some draws, one of each shape, with that of some walls which explains most."""
+        libraries = {each.shape: _Library.of(each, sketch) for each in draws}
         pairs = cls(sketch, comparison, apart_m, sketch.corner, libraries)
         corner = replace(sketch.corner, relay_wall=pairs._wall(walls))
         lit = {shape: each.lit(pairs._bright, corner) for shape, each in libraries.items()}

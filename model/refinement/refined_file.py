@@ -43,11 +43,11 @@ def refine(
     device: DeviceName = "auto",
     progress: bool = True,
 ) -> FilePrediction:
-    """Predict every image of a measurement file, and find the solid that explains it.
+    """Predict every image of a measurement file, and find the solids that explain it.
 
     The folder `out` is that of `predict_file`, with the depth maps of the solids that are accepted, and
-    ``000000_light.png``: the light that was measured, what the solid explains of it, and what is left over.
-    ``prediction.json`` holds the solid (`explanation`).
+    ``000000_light.png``: the light that was measured, what the solids explain of it, and what is left over.
+    ``prediction.json`` holds the solids (`explanation`).
 
     Parameters
     ----------

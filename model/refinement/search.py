@@ -24,6 +24,7 @@ _LIKELY: Final = 2.5  # so does one with less evidence against it
 _ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _FINE_STEPS, _WALLS = 4, 2
 _LIBRARY: Final = 400  # solids of each shape of which pairs are made
+_AROUND: Final = 0.7  # how far each is from the middle, over the largest distance of two, at most
 _EXCHANGED, _OTHERS = 6, 6  # pairs of which one solid is exchanged, and for how many others
 
 
@@ -126,7 +127,8 @@ class Search:
             Draws.of(shape, size_m, sketch.inner_m, _LIBRARY, rng, fits_sizes=fits_sizes)
             for shape, size_m in self.family.sizes.items()
         ]
-        return Pairs.of(sketch, self.coarse, draws, apart_m, walls, rng)
+        moved = [each.moved(_AROUND * apart_m * rng.uniform(-1, 1, each.centres_m.shape)) for each in draws]
+        return Pairs.of(sketch, self.coarse, moved, apart_m, walls)
 
     def _lit(self, starts: Sequence[Scene]) -> list[Fit]:
         """Starts with their light; those that explain most come first."""

@@ -17,7 +17,7 @@ from render.batch.quadrics import NO_QUADRIC, is_convex, quadric_of
 from render.batch.tables import PlacedObject, rotated
 
 Floats = NDArray[np.float64]
-_TINY = 1e-9  # metres: a gradient across the surface
+_TINY = 1e-9  # for gradients that are normal to the surface
 
 
 def free_parts(

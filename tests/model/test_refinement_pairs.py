@@ -99,18 +99,8 @@ def libraries(sketch, truth):
 
 @pytest.fixture(scope="module")
 def pairs(sketch, comparison, truth, libraries):
-    still = np.random.default_rng(0)
     walls = [replace(truth.relay_wall, roughness=each) for each in (0.1, truth.relay_wall.roughness)]
-    apart_m = 0.3
-    moving = Pairs.of(sketch, comparison, libraries, apart_m, walls, still)
-    # `Pairs.of` moves what is drawn; here the places are known.
-    return replace(
-        moving,
-        libraries={
-            draws.shape: type(moving.libraries[draws.shape]).of(draws, sketch).lit(comparison, moving.corner)
-            for draws in libraries
-        },
-    )
+    return Pairs.of(sketch, comparison, libraries, 0.3, walls)
 
 
 def solids(scene):
@@ -120,7 +110,9 @@ def solids(scene):
 
 def test_the_pair_that_has_depth_map_and_light_is_among_the_first(pairs, truth):
     starts = pairs.starts(4)
-    assert solids(truth) in [solids(start) for start in starts[:4]]  # of these two shapes: 4 of 100
+    # Of these two shapes, 4 of 100. The sum of both lights is an estimate: where one solid hides much of the
+    # other, as with seeds 5 and 8, more wrong pairs come first.
+    assert solids(truth) in [solids(start) for start in starts[:4]]
     shapes = {part.shape for start in starts for part in start.hidden_objects}
     assert shapes == set(pairs.libraries)
     assert len(starts) == 3 * 4
@@ -147,7 +139,7 @@ def test_of_some_walls_the_one_that_explains_most_is_taken(pairs, truth):
     assert pairs.corner.relay_wall.roughness == truth.relay_wall.roughness
 
 
-def test_one_sided_differences_lead_to_the_same_minimum(comparison, truth):
+def test_one_sided_differences_lower_the_misfit_as_central_ones_do(comparison, truth):
     start = replace(truth, hidden_objects=tuple(moved(p, np.full(3, 0.02)) for p in truth.hidden_objects))
     (one,), (other,) = (
         least_misfits([(comparison, start)], steps=6, fitted=Fitted(), one_sided=each)
@@ -182,6 +174,7 @@ def test_two_solids_are_named():
 
 @pytest.mark.long
 def test_two_solids_are_found_from_a_depth_map_that_is_off(comparison, phasor, wall, truth):
+    # One of the scenes that are solved: of seeds 1, 3 and 4, the last two end at other shapes.
     true = true_depth_map(comparison, truth)
     rng = np.random.default_rng(3)
     off = true.radial_depth_m + true.mask * rng.normal(0.03, 0.02, true.mask.shape).astype(np.float32)
