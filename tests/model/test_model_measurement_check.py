@@ -12,7 +12,7 @@ from wall_measurements import DEFECTS, farther, noise
 import model
 from itof.files.measurement_files import Measurement
 from model.prediction.measurement_check import MOST_REFUSED, check_measured
-from model.prediction.prediction_files import predict_file
+from model.prediction.prediction_files import PREDICTION_SCHEMA, predict_file
 from model.prediction.predictor import load
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -73,7 +73,7 @@ def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, w
     found = record["findings"][0]
     assert (found["code"], found["refused"]) == ("wall-moved", False)
     assert record["images"][0]["wall"]["distance_shift_m"] == pytest.approx(0.003, abs=5e-4)
-    assert (record["schema_version"], record["ignored"]) == (8, [])
+    assert (record["schema_version"], record["ignored"]) == (PREDICTION_SCHEMA, [])
 
     arrays = {"phasors": phasors[0], "reference": wall.direct, "ref": phasors[1], "note": np.array("mine")}
     done = night_here("night-eval", "predict", seeing_run, write_npz(tmp_path / "b.npz", **arrays), *out)
