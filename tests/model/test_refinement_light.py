@@ -269,6 +269,15 @@ def test_brightness_of_a_wall_is_read_from_its_amplitude(light, index):
     assert even.darkening is None or even.darkening.least_reflectance > 0.999
 
 
+def test_a_corner_with_a_mesh_of_the_user_is_known_as_well_as_any_other(seven, light):
+    scene = seven.scene(seven.ids()[0])
+    with_mesh = replace(scene.hidden_objects[0], shape="mesh:letter.ply")
+    rays = pixel_rays(12, 9, 60.0).reshape(-1, 3)
+    known = [known_corner(each) for each in (scene, replace(scene, hidden_objects=(with_mesh,)))]
+    direct, same = light.direct(known, rays)
+    np.testing.assert_array_equal(direct, same)
+
+
 def test_a_camera_is_moved_to_where_a_wall_has_a_plane():
     preset = preset_from_dict({"camera_spread": {"location_m": 0.4, "rotation_deg": 8.0}}, "a test")
     for index in range(12):

@@ -23,8 +23,9 @@ Floats = NDArray[np.float64]
 
 
 def known_corner(scene: Scene) -> Scene:
-    """What is known of the corner of a scene; its hidden objects do not matter."""
-    return replace(scene, relay_wall=replace(scene.relay_wall, darkening=None))
+    """What is known of the corner of a scene; its hidden objects, boxes now, do not matter."""
+    parts = tuple(replace(part, shape="parallelepiped") for part in scene.hidden_objects)
+    return replace(scene, hidden_objects=parts, relay_wall=replace(scene.relay_wall, darkening=None))
 
 
 def with_wall_at(scene: Scene, plane_per_m: Floats) -> Scene:
