@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from model.refinement.least_squares import Fit, jacobians
 from model.refinement.sketch import Sketch
-from model.refinement.unknowns import Fitted, Unknown, changed
+from model.refinement.unknowns import Fitted, Unknown, changed, within_reach
 
 Floats = NDArray[np.float64]
 USUAL_MISFIT: Final = 0.002  # ε, of the right solids
@@ -69,7 +69,8 @@ def _in_errors(fit: Fit) -> float:
     """|v|² in units of the errors."""
     observed = fit.comparison.observed
     power = max(float(observed.values @ observed.values), float(np.finfo(float).tiny))
-    usual = USUAL_MISFIT if fit.comparison.fine else _WITH_FEW_NODES
+    is_exact = fit.comparison.fine or fit.comparison.lacking is not None
+    usual = USUAL_MISFIT if is_exact else _WITH_FEW_NODES
     return power / (observed.noise**2 + usual**2 * power)
 
 
@@ -105,7 +106,9 @@ class Spread:
         draws = np.random.default_rng(seed).multivariate_normal(
             np.zeros(len(covariance)), covariance, _DRAWS, method="eigh"
         )
-        near = [changed(fit.candidate, unknowns, draw) for draw in draws]
+        near = [
+            changed(fit.candidate, unknowns, within_reach(fit.candidate, unknowns, draw)) for draw in draws
+        ]
         shown = fine.depths_m([*(each.candidate for each in fits), *near])
         apart_m = np.abs(shown - shown[0]).mean(axis=1)
         against = prior.against(fits)

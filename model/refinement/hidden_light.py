@@ -18,6 +18,7 @@ from itof.other_surfaces import only_wall
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.weighted_reference import weighted_reference
+from model.refinement.blocks import Blocks
 from model.refinement.pixel_noise import pixel_noise
 
 _ROWS: Final = {True: 15, False: 10}  # of blocks of pixels, about: the hidden light is smooth over the wall
@@ -41,7 +42,8 @@ class HiddenLight:
     slope : (F,) phase of the direct light by the wall's distance, rad/m.
     amplitude : (P,) of the light at the first frequency, in any unit.
     noise : root mean square of the noise in a component of `relative` times `weight`, estimated.
-    where : (R, C) which blocks of the image these are.
+    where : (R, C) which of the `blocks` of the image these are.
+    parts : (P, n, 3) unit rays of the parts of each.
     """
 
     relative: NDArray[np.complex128]
@@ -52,6 +54,8 @@ class HiddenLight:
     amplitude: NDArray[np.float64]
     noise: float
     where: NDArray[np.bool_]
+    blocks: Blocks
+    parts: NDArray[np.float64]
 
     @classmethod
     def of(
@@ -80,21 +84,22 @@ class HiddenLight:
         relative = relative * safe
         strength = np.abs(wall.direct[..., :1]) * safe
         strength = strength / np.nanmax(strength, initial=np.finfo(float).tiny)
-        size = max(1, phasor.shape[0] // _ROWS[fine])
+        blocks = Blocks.of(len(phasor), _ROWS[fine])
         amplitude = np.abs(phasor[..., :1]) * safe
-        noise = pixel_noise(relative.imag, amplitude[..., 0])[..., None] * _gain_of_noise(size)
-        parts = (relative, wall.rays * safe, strength, noise, amplitude)
-        relative, rays, weight, noise, amplitude = (_blocks(each, size) for each in parts)
-        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        noise = pixel_noise(relative.imag, amplitude[..., 0])[..., None] * blocks.gain_of_noise
+        shown = (relative, wall.rays * safe, strength, noise, amplitude)
+        relative, rays, weight, noise, amplitude = (blocks.middles(each) for each in shown)
+        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         plane = np.asarray(found.plane_per_m)
-        good = np.isfinite(relative).all(1) & (rays @ plane > _LEAST_PER_M)
+        good = np.isfinite(relative).all(-1) & (rays @ plane > _LEAST_PER_M)
         if np.count_nonzero(good) < _FEWEST_BLOCKS:
             return None
         relative, rays, weight, noise = relative[good], rays[good], weight[good, 0], noise[good, 0]
         weight = weight / np.sqrt(1 + (noise * weight / _error_of_model(relative.imag, weight)) ** 2)
         noisy = float(np.sqrt(((noise * weight) ** 2).mean()))
-        bright, where = amplitude[good, 0], good.reshape([side // size for side in phasor.shape[:2]])
-        light = cls(relative, rays, plane, weight, np.asarray(wall.slope), bright, noisy, where)
+        parts = blocks.rays_of_parts(wall.rays, good)
+        numbers = (plane, weight, np.asarray(wall.slope), amplitude[good, 0], noisy)
+        light = cls(relative, rays, *numbers, good, blocks, parts)
         return light if light.values.any() else None
 
     def with_wall_behind(self, hidden: NDArray[np.complex128]) -> HiddenLight:
@@ -162,43 +167,3 @@ def _error_of_model(phases: NDArray[np.float64], weight: NDArray[np.float64]) ->
     """Usual error of a model in weighted phases (P, F)."""
     usual = float(np.median(np.abs(phases * weight[:, None])))
     return max(_MODEL * usual, float(np.finfo(float).tiny))
-
-
-def _blocks(image: NDArray[Any], size: int) -> NDArray[Any]:
-    """(P, C) values of an image (H, W, C) in the middles of square blocks of `size` pixels, from their means.
-
-    A block with a pixel that is NaN is NaN. A mean differs from the value in the middle by 1/24 of the second
-    differences between blocks.
-    """
-    height, width, channels = image.shape
-    rows, columns = height // size, width // size
-    top, left = (height - rows * size) // 2, (width - columns * size) // 2
-    cut = image[top : top + rows * size, left : left + columns * size]
-    parts = np.moveaxis(cut.reshape(rows, size, columns, size, channels), 2, 1)
-    blocks: NDArray[Any] = parts.reshape(rows, columns, size**2, channels).mean(axis=2)
-    if size > 1 and min(rows, columns) > 2:
-        blocks = blocks - _sharpening(size) * sum(_second_differences(blocks, axis) for axis in (0, 1))
-    return blocks.reshape(-1, channels)
-
-
-def _sharpening(size: int) -> float:
-    """Share of the second differences between blocks that makes their means the values in the middle."""
-    return (1 - size**-2) / 24
-
-
-def _gain_of_noise(size: int) -> float:
-    """Standard deviation of white noise in blocks over that in pixels."""
-    share = _sharpening(size)  # of each of four neighbours, less four times that of the block itself
-    return math.sqrt((1 + 4 * share) ** 2 + 4 * share**2) / size
-
-
-def _second_differences(values: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Of (R, C, ...) along an axis; at both ends, and beside NaN, those of the nearest neighbour with any."""
-    inner = np.moveaxis(np.diff(values, 2, axis=axis), axis, 0)  # (n, m, ...)
-    known = np.isfinite(inner).reshape(*inner.shape[:2], -1).all(axis=-1)
-    place = np.arange(len(inner))[:, None, None]
-    away = np.where(known.T[None], np.abs(place - place.T), np.iinfo(int).max)  # (n, m, n)
-    nearest = away.argmin(axis=2)
-    found = inner[nearest, np.arange(inner.shape[1])]
-    found[:, ~known.any(axis=0)] = 0
-    return np.moveaxis(np.concatenate([found[:1], found, found[-1:]]), 0, axis)

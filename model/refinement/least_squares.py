@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.light.corner_light import CornerLight, with_camera_at, with_wall_at
-from model.refinement.unknowns import Fitted, Unknown, changed, unknowns
+from model.refinement.unknowns import Fitted, Unknown, changed, unknowns, within_reach
 from model.refinement.wall_brightness import walls_as_bright
 from scenegen.scene import Scene
 
@@ -28,6 +28,7 @@ Floats = NDArray[np.float64]
 _DAMPING, _MORE, _LESS, _LEAST_DAMPING = 1e-2, 4.0, 0.2, 1e-5
 _REFLECTANCE = (0.01, 1.5)  # above 1: the model and its quadrature may be too dark
 _TRIALS = 4  # of larger damping, before it is a minimum
+_REUSED: Final = 2
 _RIDGE: Final = 1e-12
 _POSES: Final = Fitted()
 
@@ -45,6 +46,7 @@ class Comparison:
         for each candidate.
     knows_camera : whether it is the relay wall that is moved, not the camera, so that the camera sees it
         where the measurement shows it.
+    lacking : (P, F) what few nodes lack of the light near one candidate (`corrected`); None: it is not known.
     """
 
     observed: HiddenLight
@@ -53,6 +55,7 @@ class Comparison:
     fine: bool
     reflectance: float | None = 1.0
     knows_camera: bool = True
+    lacking: NDArray[np.complex128] | None = None
 
     def placed(self, candidate: Scene) -> Scene:
         """The candidate with its relay wall where the measurement shows it from its camera."""
@@ -103,7 +106,7 @@ def misfits(asked: Asked) -> list[Floats]:
     """(M,) values of candidates less those of their measurements, all with the same rays and one engine."""
     return [
         comparison.observed.of_model(hidden) - comparison.observed.values
-        for (comparison, _), (hidden, _) in zip(asked, _hidden(asked), strict=True)
+        for (comparison, _), (hidden, _) in zip(asked, _hidden(asked) if asked else [], strict=True)
     ]
 
 
@@ -112,8 +115,10 @@ def _hidden(asked: Asked) -> list[tuple[NDArray[np.complex128], float]]:
     first = asked[0][0]
     placed = [comparison.placed(candidate) for comparison, candidate in asked]
     found = []
-    whites = first.light.over_direct(placed, first.observed.rays, fine=first.fine)
+    whites = _light(first, placed, first.fine)
     for (comparison, _), white in zip(asked, whites, strict=True):
+        if comparison.lacking is not None:
+            white = white + comparison.lacking
         reflectance = comparison.reflectance
         if reflectance is None:
             light = comparison.observed.of_model(white)
@@ -121,6 +126,31 @@ def _hidden(asked: Asked) -> list[tuple[NDArray[np.complex128], float]]:
             reflectance = float(np.clip(light @ comparison.observed.values / power, *_REFLECTANCE))
         found.append((reflectance * white, reflectance))
     return found
+
+
+def _light(comparison: Comparison, placed: Sequence[Scene], fine: bool) -> NDArray[np.complex128]:
+    """(N, P, F) hidden over direct light of candidates in the middles of blocks."""
+    observed = comparison.observed
+    if not fine:
+        return comparison.light.over_direct(placed, observed.rays, fine=False)
+    parts = observed.parts
+    values = comparison.light.over_direct(placed, parts.reshape(-1, 3), fine=True)
+    values = values.reshape(len(placed), *parts.shape[:2], -1)
+    return np.stack([observed.blocks.middles_of_parts(each, observed.where) for each in values])
+
+
+def corrected(asked: Asked) -> Asked:
+    """The comparisons with few nodes, and with what these lack at their own candidates.
+
+    Near these, the light of few nodes then is as right as that of many, at a tenth of the price.
+    """
+    first = asked[0][0]
+    placed = [comparison.placed(candidate) for comparison, candidate in asked]
+    few, many = (_light(first, placed, fine) for fine in (False, True))
+    return [
+        (replace(comparison, fine=False, lacking=lacking), candidate)
+        for (comparison, candidate), lacking in zip(asked, many - few, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -139,30 +169,58 @@ class Fit:
     unexplained: float
 
 
+_Slopes = tuple[Sequence[Unknown], Floats]  # unknowns, and (M, U) derivatives of the values by them
+_NO_SLOPES: Final[_Slopes] = ((), np.zeros((0, 0)))
+
+
 @dataclass
 class _Going:
-    """A fit on its way."""
+    """A fit on its way.
+
+    Attributes
+    ----------
+    reused : steps with slopes that are only corrected along the last one (Broyden 1965).
+    age : such steps so far; None where slopes have to be computed.
+    """
 
     comparison: Comparison
     candidate: Scene
     misfit: Floats
+    reused: int
     damping: float = _DAMPING
     has_ended: bool = False
+    slopes: _Slopes = _NO_SLOPES
+    age: int | None = None
 
-    @property
-    def with_few_nodes(self) -> _Going:
-        """The fit with cheap derivatives: those of few nodes lead to the same minimum."""
-        return replace(self, comparison=replace(self.comparison, fine=False))
+    def change(self, trial: int) -> Floats:
+        """(U,) the step with a damping that grows with each trial."""
+        numbers, jacobian = self.slopes
+        normal, slope = jacobian.T @ jacobian, jacobian.T @ self.misfit
+        least = _RIDGE * np.trace(normal) + np.finfo(float).tiny
+        damping = self.damping * _MORE**trial * np.diag(normal) + least
+        return within_reach(self.candidate, numbers, np.linalg.solve(normal + np.diag(damping), -slope))
 
-    def takes(self, candidate: Scene, misfit: Floats, trial: int, enough: float) -> bool:
+    def takes(self, change: Floats, candidate: Scene, misfit: Floats, trial: int, enough: float) -> bool:
         """Go to a candidate if its misfit is smaller; whether it was."""
         before, after = self.misfit @ self.misfit, misfit @ misfit
         if not after < before:
             return False
+        numbers, jacobian = self.slopes
+        wrong = misfit - self.misfit - jacobian @ change
+        self.slopes = numbers, jacobian + np.outer(wrong, change / (change @ change))
         self.candidate, self.misfit = candidate, misfit
         self.damping = max(self.damping * _MORE**trial * _LESS, _LEAST_DAMPING)
-        self.has_ended = bool(before - after < enough * before)
+        self._grows_old(is_enough=bool(before - after < enough * before))
         return True
+
+    def _grows_old(self, is_enough: bool) -> None:
+        """A fit ends only with slopes of its own."""
+        self.has_ended = is_enough and self.age == 0
+        self.age = None if is_enough or self.age == self.reused else (self.age or 0) + 1
+
+    def stays(self) -> None:
+        """No damping led to a smaller misfit."""
+        self.has_ended, self.age = self.age == 0, None
 
 
 def least_misfits(
@@ -184,7 +242,8 @@ def least_misfits(
     """
     if not starts:
         return []
-    fits = [_Going(*start, misfit) for start, misfit in zip(starts, misfits(starts), strict=True)]
+    reused = 0 if fitted.sizes else _REUSED  # long valleys need all slopes
+    fits = [_Going(*start, misfit, reused) for start, misfit in zip(starts, misfits(starts), strict=True)]
     for _ in range(steps):
         going = [fit for fit in fits if not fit.has_ended]
         if going:
@@ -200,32 +259,27 @@ def least_misfits(
 
 def _step(fits: Sequence[_Going], fitted: Fitted, enough: float, one_sided: bool) -> None:
     """One step of each fit: it takes the smallest of a few dampings that lowers its misfit."""
-    slopes = _forward(fits, fitted) if one_sided else jacobians([fit.with_few_nodes for fit in fits], fitted)
-    left = list(range(len(fits)))
+    old = [fit for fit in fits if fit.age is None]
+    for fit, slopes in zip(old, (_forward if one_sided else jacobians)(old, fitted), strict=True):
+        fit.slopes, fit.age = slopes, 0
+    left = list(fits)
     for trial in range(_TRIALS):
-        asked = []
-        for place in left:
-            fit, (numbers, jacobian) = fits[place], slopes[place]
-            change = _change(jacobian, fit.misfit, fit.damping * _MORE**trial)
-            asked.append((fit.comparison, changed(fit.candidate, numbers, change)))
-        tried = misfits(asked) if asked else []
-        left = [
-            place
-            for place, (_, candidate), misfit in zip(left, asked, tried, strict=True)
-            if not fits[place].takes(candidate, misfit, trial, enough)
+        changes = [fit.change(trial) for fit in left]
+        asked = [
+            (fit.comparison, changed(fit.candidate, fit.slopes[0], change))
+            for fit, change in zip(left, changes, strict=True)
         ]
-    for place in left:
-        fits[place].has_ended = True
+        tried = misfits(asked)
+        left = [
+            fit
+            for fit, change, (_, candidate), misfit in zip(left, changes, asked, tried, strict=True)
+            if not fit.takes(change, candidate, misfit, trial, enough)
+        ]
+    for fit in left:
+        fit.stays()
 
 
-def _change(jacobian: Floats, misfit: Floats, damping: float) -> Floats:
-    normal, slope = jacobian.T @ jacobian, jacobian.T @ misfit
-    least = _RIDGE * np.trace(normal) + np.finfo(float).tiny
-    change: Floats = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + least), -slope)
-    return change
-
-
-def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[tuple[Sequence[Unknown], Floats]]:
+def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[_Slopes]:
     """The unknowns of each fit, and (M, U) the derivatives of its values by them: central differences."""
     numbers = [unknowns(fit.candidate, fitted, fit.comparison.fine) for fit in fits]
     moved = [
@@ -241,7 +295,7 @@ def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[tuple[Sequen
     ]
 
 
-def _forward(fits: Sequence[_Going], fitted: Fitted) -> list[tuple[Sequence[Unknown], Floats]]:
+def _forward(fits: Sequence[_Going], fitted: Fitted) -> list[_Slopes]:
     """As `jacobians`, by one-sided differences."""
     numbers = [unknowns(fit.candidate, fitted, fit.comparison.fine) for fit in fits]
     steps = [[each.steps[0] or each.steps[1] for each in own] for own in numbers]

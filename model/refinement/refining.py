@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
@@ -111,7 +112,8 @@ def refined(
     -------
     None where the prediction shows no object, or too little of the relay wall is seen.
     """
-    fine, coarse = (HiddenLight.of(phasor, wall, fine=fine) for fine in (True, False))
+    shown_wall = without_edges(phasor, wall, corner, light, knows_camera=knows_camera)
+    fine, coarse = (HiddenLight.of(shown_wall, wall, fine=fine) for fine in (True, False))
     if fine is None or coarse is None:
         return None
     close, wide = (
@@ -135,3 +137,24 @@ def refined(
     every = Sketch.of(*shown, columns=width)
     spread = Spread.of_fits(fits, prior, every, search.fitted, seed)
     return Refined(fits[0], comparison.reflectance_of(candidate), spread, depth_map)
+
+
+def without_edges(
+    phasor: NDArray[np.complexfloating[Any, Any]],
+    wall: ExpectedWall,
+    corner: Scene,
+    light: CornerLight,
+    *,
+    knows_camera: bool = True,
+) -> NDArray[np.complexfloating[Any, Any]]:
+    """The phasors with 0 where a pixel may show the middle wall, too, if the corner is as it should be.
+
+    The light itself does not tell where both walls are about as far from the camera.
+    """
+    observed = HiddenLight.of(phasor, wall, fine=False)
+    if observed is None:
+        return phasor
+    placed = Comparison(observed, corner, light, False, knows_camera=knows_camera).placed(corner)
+    seen = light.sees_wall([placed], wall.rays.reshape(-1, 3)).reshape(phasor.shape[:2])
+    whole = binary_erosion(seen, np.ones((3, 3)), border_value=1)
+    return np.where(whole[..., None], phasor, 0)

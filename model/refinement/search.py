@@ -10,7 +10,7 @@ import numpy as np
 
 from model.refinement.evidence import Prior
 from model.refinement.family import Family
-from model.refinement.least_squares import Asked, Comparison, Fit, least_misfits
+from model.refinement.least_squares import Asked, Comparison, Fit, corrected, least_misfits
 from model.refinement.pairs import Pairs
 from model.refinement.sketch import Draws, Sketch
 from model.refinement.unknowns import Fitted
@@ -141,11 +141,10 @@ class Search:
         for place, (count, steps) in enumerate(funnel.steps):
             fits = self._different(fits, count)
             are_pairs = any(len(fit.candidate.hidden_objects) > 1 for fit in fits)
-            fits = least_misfits(
-                _starts(fits), steps=steps, fitted=fitted, one_sided=are_pairs and place == 0
-            )
+            starts = corrected(_starts(fits)) if place and fits else _starts(fits)
+            fits = least_misfits(starts, steps=steps, fitted=fitted, one_sided=are_pairs and place == 0)
             fits = self._sorted(fits) if are_pairs else _best_of_each_shape_first(self._sorted(fits))
-        return self._polished(self._sorted(fits)[: funnel.polished])
+        return self._polished(fits[: funnel.polished])
 
     def _different(self, fits: Sequence[Fit], count: int) -> list[Fit]:
         """The first fits of which none is like another one."""
@@ -161,12 +160,11 @@ class Search:
     def _polished(self, fits: Sequence[Fit]) -> list[Fit]:
         """Minima of the fine comparison, with the wall found again behind each solid."""
         starts: Asked = [(self.fine, fit.candidate) for fit in fits]
-        found: list[Fit] = []
-        for _ in range(_WALLS):
+        for _ in range(_WALLS if fits else 0):
             starts = [each.behind(candidate) for each, candidate in starts]
-            found = least_misfits(starts, steps=_FINE_STEPS, fitted=self.fitted)
-            starts = _starts(found)
-        return found
+            found = least_misfits(corrected(starts), steps=_FINE_STEPS, fitted=self.fitted)
+            starts = [(each, fit.candidate) for (each, _), fit in zip(starts, found, strict=True)]
+        return least_misfits(starts, steps=0)
 
     def _sorted(self, fits: Sequence[Fit]) -> list[Fit]:
         """By the evidence against them."""

@@ -20,7 +20,8 @@ Floats = NDArray[np.float64]
 ROUGHNESS: Final = (0.05, 1.0)  # smallest and largest of a relay wall
 _STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 1e-2, 0.025, 2e-2, 2e-2  # of the differences
 _WIDER: Final = 3.0  # with few nodes: shadows move from node to node, and light changes in steps
-_FARTHEST_M, _FARTHEST_RAD, _FARTHEST_SIZE, _FARTHEST_ROUGHNESS = 0.15, 0.5, 0.2, 0.3  # of one step
+# Of one step, by kind.
+_FARTHEST: Final = {"place": 0.15, "turn": 0.5, "size": 0.2, "room": 0.15, "roughness": 0.3}
 
 
 @dataclass(frozen=True)
@@ -81,28 +82,43 @@ def _unknowns(candidate: Scene, fitted: Fitted, wider: float) -> Iterator[Unknow
         yield Unknown(0, "roughness", 0, (more, more - 2 * _STEP_ROUGHNESS))
 
 
+def within_reach(candidate: Scene, numbers: Sequence[Unknown], change: Floats) -> Floats:
+    """A change of the unknowns, shortened to what is likely to be better and can be."""
+    reached = change.copy()
+    for (_, kind), places in _groups(numbers).items():
+        reached[places] = _shortened(reached[places], _FARTHEST[kind])
+        now = candidate.relay_wall.roughness
+        if kind == "roughness" and now is not None:
+            reached[places] = np.clip(now + reached[places], *ROUGHNESS) - now
+    return reached
+
+
 def changed(candidate: Scene, numbers: Sequence[Unknown], change: Floats) -> Scene:
-    """The candidate with its unknowns changed, but not by more than is likely to be better."""
-    parts = []
-    for index, part in enumerate(candidate.hidden_objects):
-        move, turn, size = np.zeros(3), np.zeros(3), np.zeros(len(stretches(part.shape)))
-        for values, kind in ((move, "place"), (turn, "turn"), (size, "size")):
-            for unknown, value in zip(numbers, change, strict=True):
-                if unknown.part == index and unknown.kind == kind:
-                    values[unknown.place] = value
-        part = moved(part, _shortened(move, _FARTHEST_M), _shortened(turn, _FARTHEST_RAD))
-        parts.append(stretched(part, _shortened(size, _FARTHEST_SIZE)))
-    wall = candidate.relay_wall
-    if wall.roughness is not None and numbers[-1].kind == "roughness":
-        by = float(np.clip(change[-1], -_FARTHEST_ROUGHNESS, _FARTHEST_ROUGHNESS))
-        wall = replace(wall, roughness=min(max(wall.roughness + by, ROUGHNESS[0]), ROUGHNESS[1]))
-    middle = candidate.middle_wall
-    for unknown, value in zip(numbers, change, strict=True):
-        if unknown.kind == "room":
-            along = wall_normal((wall, middle)[unknown.place])
-            by_m = float(np.clip(value, -_FARTHEST_M, _FARTHEST_M)) * along
+    """The candidate with its unknowns changed."""
+    parts, wall, middle = list(candidate.hidden_objects), candidate.relay_wall, candidate.middle_wall
+    for (index, kind), places in _groups(numbers).items():
+        values = np.zeros(3)
+        values[[numbers[place].place for place in places]] = change[places]
+        if kind == "place":
+            parts[index] = moved(parts[index], values)
+        elif kind == "turn":
+            parts[index] = moved(parts[index], np.zeros(3), values)
+        elif kind == "size":
+            parts[index] = stretched(parts[index], values[: len(stretches(parts[index].shape))])
+        elif kind == "room":
+            by_m = values[0] * wall_normal(wall) + values[1] * wall_normal(middle)
             middle = replace(middle, location_m=vector(np.asarray(middle.location_m) + by_m))
+        elif wall.roughness is not None:
+            wall = replace(wall, roughness=float(np.clip(wall.roughness + values[0], *ROUGHNESS)))
     return replace(candidate, hidden_objects=tuple(parts), relay_wall=wall, middle_wall=middle)
+
+
+def _groups(numbers: Sequence[Unknown]) -> dict[tuple[int, str], list[int]]:
+    """Places of the unknowns of each object and kind."""
+    groups: dict[tuple[int, str], list[int]] = {}
+    for place, unknown in enumerate(numbers):
+        groups.setdefault((unknown.part, unknown.kind), []).append(place)
+    return groups
 
 
 def moved(part: HiddenObject, by_m: Floats, turned_rad: Floats | None = None) -> HiddenObject:

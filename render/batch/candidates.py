@@ -18,8 +18,8 @@ from scenegen.scene import Scene
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
-_FILM_LEVELS: Final = {True: 2, False: 1}  # by `fine`
-_FINER: Final = (2, 3)  # levels of the surface points with `fine`, of one object and of several
+_FILM_LEVELS: Final = {True: 3, False: 1}  # by `fine`
+_FINER: Final = (3, 3)  # levels of the surface points with `fine`, of one object and of several
 _Parted = TypeVar("_Parted", Sequence[Scene], NDArray[np.float64])
 _AT_ONCE: Final = 2**18  # pixels, for the memory
 
