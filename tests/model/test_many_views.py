@@ -202,7 +202,10 @@ def test_predictions_know_the_field_of_view_and_refuse_those_that_the_training_h
     done = night_here(*command, "--out", tmp_path / "out", "--fov", fov_deg)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    assert (record["schema_version"], record["horizontal_fov_deg"]) == (PREDICTION_SCHEMA, pytest.approx(fov_deg))
+    assert (record["schema_version"], record["horizontal_fov_deg"]) == (
+        PREDICTION_SCHEMA,
+        pytest.approx(fov_deg),
+    )
     # The plane is that of the scene's camera, which only the right rays find.
     truth = inverse_distance_per_m(views.scene(scene), 14, 24)
     rays = pixel_rays(24, 14, fov_deg)
