@@ -16,6 +16,8 @@ from render_runs import SETTINGS
 from itof import TransientReader
 from scenegen import load_preset, open_dataset, preset_from_dict
 
+gc.disable()  # until the tests are collected: no garbage arises, and to look for it takes a third of the time
+
 # What a script starts with & ignores Ctrl-C, and so would the commands that these tests start.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -38,6 +40,7 @@ def pytest_collection_modifyitems(items):
 
     items.sort(key=place)
     gc.freeze()  # what is imported stays; to look for garbage in it takes 0.3 s each time
+    gc.enable()
 
 
 @pytest.fixture(scope="session")
