@@ -30,7 +30,7 @@ lint: setup
 
 # What to run before a commit. The types are checked beside the tests, which wait for each other at times.
 test: setup
-	$(MAKE) --jobs 2 lint test-short
+	$(MAKE) --no-print-directory --jobs 2 lint test-short
 
 test-short: setup
 	$(PYTEST) -m "not long and not thorough"
