@@ -86,7 +86,10 @@ def test_the_head_finds_which_pixels_have_large_errors():
     adam = torch.optim.Adam(network.parameters(), lr=4e-3)
     loss = MaskAndDepthLoss(READOUT, beta=1.0)
     size, mask = (8, 12, 12), torch.ones(8, 12, 12)
-    for _ in range(500):
+    for step in range(500):
+        # With a step size that falls to 0, the end does not depend on the last batches, or on the rounding of
+        # a processor: other batches from the same weights gave ratios of 0.88 to 1.25.
+        adam.param_groups[0]["lr"] = 4e-3 * (1 - step / 500)
         spread = torch.rand(8, 1, 1, generator=rng).expand(size)
         noise = 0.05 * (40.0**spread) * torch.randn(size, generator=rng)
         depth_m = READOUT.depth_mean_m + READOUT.depth_spread_m * noise
