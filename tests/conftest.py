@@ -43,6 +43,13 @@ def pytest_collection_modifyitems(items):
     gc.enable()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish():
+    """One search for garbage in place of the ten with which pytest ends."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def maker():
     from scenegen.making.blender import BlenderMaker
