@@ -13,7 +13,7 @@ PYTEST := $(BIN)/pytest --numprocesses $(TEST_PROCESSES) --dist worksteal
 # One process, which runs two commands at a time and has one seed and one table of results.
 FUZZ := NIGHT_FUZZ_SEED=$${NIGHT_FUZZ_SEED:-$$(date +%s)} $(BIN)/pytest tests/trust/fuzz
 
-.PHONY: setup demo judge docs test test-long test-thorough fuzz lint clean
+.PHONY: setup demo judge docs test test-short test-long test-thorough fuzz lint clean
 
 setup: $(VENV)/.installed
 
@@ -28,8 +28,11 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# What to run before a commit.
-test: lint
+# What to run before a commit. The types are checked beside the tests, which wait for each other at times.
+test: setup
+	$(MAKE) --no-print-directory --jobs 2 lint test-short
+
+test-short: setup
 	$(PYTEST) -m "not long and not thorough"
 
 # What takes seconds each, and what a change can break all the same.

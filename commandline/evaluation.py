@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _OF_THE_REPORT = ("scenes", "mask_from", "mask_threshold")
 _OF_THE_CAMERA = ("exposures", "corner_exposures", "each_imperfection", "first")
-_OF_A_DATASET, _OF_A_FILE = "Of a dataset", "Of a file"  # headings of options
+_OF_A_DATASET, _OF_A_FILE, _WITH_SENSOR = "Of a dataset", "Of a file", "With --sensor"  # headings
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -76,25 +76,28 @@ night_eval.add_command(capture)
 )
 @MASK_FROM
 @MASK_THRESHOLD
-@click.option(
+@option(
+    _WITH_SENSOR,
     "--sensor",
     type=Sensor(),
     help="Let this camera measure the scenes: a name in data/sensors, or a .toml file. OUT then holds the "
     "error at each exposure instead of the report.",
 )
-@click.option("--exposures", type=Counts(), help="With --sensor: exposures that are averaged.  [default: 1]")
-@click.option(
+@option(_WITH_SENSOR, "--exposures", type=Counts(), help="Exposures that are averaged.  [default: 1]")
+@option(
+    _WITH_SENSOR,
     "--corner-exposures",
     type=click.IntRange(0, 1_000_000),
-    help="With --sensor: averaged exposures of the empty corner, as reference.  [default: no capture]",
+    help="Averaged exposures of the empty corner, as reference.  [default: no capture]",
 )
-@click.option(
+@option(
+    _WITH_SENSOR,
     "--each-imperfection",
     is_flag=True,
     default=None,
-    help="With --sensor: each imperfection of the camera alone, and all but it; at one number of exposures.",
+    help="Each imperfection of the camera alone, and all but it; at one number of exposures.",
 )
-@click.option("--first", type=COUNT, help="With --sensor: judge the first so many scenes only.")
+@option(_WITH_SENSOR, "--first", type=COUNT, help="Judge the first so many scenes only.")
 @DEVICE
 @JSON
 def judge(run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, **options: Any) -> None:

@@ -150,8 +150,15 @@ RENDER_SETTINGS = options(
         help="itof: phasors and ground truth, a few MB a scene; transient, both (default): transients too.",
     ),
     click.option("--resolution", type=Size(), help="Image size instead of the preset's, same aspect ratio."),
-    option(_METHOD, "--method", help="many-light (the default), or path: slower, for any scene at all."),
-    option(_METHOD, "--error", type=float, help="many-light: wanted error of the hidden signal (0.01)."),
+    option(
+        _METHOD,
+        "--method",
+        help="many-light (the default); batched: phasors of many scenes at once, 6 to 10 times as fast; "
+        "path: slower, for any scene at all.",
+    ),
+    option(
+        _METHOD, "--error", type=float, help="many-light, batched: wanted error of the hidden signal (0.01)."
+    ),
     option(_METHOD, "--lights", type=COUNT, help="many-light: surface points, not --error."),
     option(
         _METHOD,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from disk import NightError
 from disk.own_files import refuse_other_files
+from itof import megahertz
 from model.data.corner import many_corners_problem
 from model.data.shards import Shards
 from model.judging.report_files import files_of_report
@@ -108,6 +109,6 @@ def refuse_other_images(trained: RunConfig, shards: Shards, run: Path, dataset: 
         )
     if not {*trained.inputs.frequencies_hz} <= {*given.frequencies_hz}:
         raise EvaluationError(
-            f"{run} was trained at {[f / 1e6 for f in trained.inputs.frequencies_hz]} MHz, {dataset.root} "
-            f"holds {[f / 1e6 for f in given.frequencies_hz]} MHz: train again or make the dataset again"
+            f"{run} was trained at {megahertz(*trained.inputs.frequencies_hz)}, {dataset.root} holds "
+            f"{megahertz(*given.frequencies_hz)}: train again or make the dataset again"
         )

@@ -7,10 +7,10 @@ import subprocess
 import sys
 
 import pytest
-from source_tree import ROOMS, ROOT, sources
+from source_tree import ROOMS, ROOT, files, sources
 
 HEAVY = {"mitsuba", "drjit", "mitransient", "bpy", "torch"}
-PACKAGES = [room for room in ROOMS if f"{room}/__init__.py" in sources()]
+PACKAGES = [room for room in ROOMS if f"{room}/__init__.py" in files()]
 LAZY = ("disk", "scenegen", "itof", "render", "model")
 
 
@@ -115,7 +115,7 @@ def imported(tree):
 
 
 @pytest.mark.parametrize(
-    "file", [file for file in sources() if file.endswith("/__init__.py") and file.count("/") == 2]
+    "file", [file for file in files() if file.endswith("/__init__.py") and file.count("/") == 2]
 )
 def test_a_wing_says_in_three_to_six_lines_what_lives_there_and_imports_nothing(file):
     tree = sources()[file]

@@ -39,9 +39,9 @@ def test_phases_of_noise_are_called_noise_by_check_and_import(tmp_path):
     ("declared_mhz", "wrong", "true", "offsets"),
     [
         ((20, 50, 65), 65, 60, OFFSETS),
-        ((25, 50, 60), 25, 20, OFFSETS),
         ((20, 40, 60), 40, 50, 1.0),
-        ((20, 50, 120), 120, 60, 1.0),
+        pytest.param((25, 50, 60), 25, 20, OFFSETS, marks=pytest.mark.long),
+        pytest.param((20, 50, 120), 120, 60, 1.0, marks=pytest.mark.long),
     ],
 )
 def test_a_frequency_that_does_not_fit_the_others_is_named(declared_mhz, wrong, true, offsets):

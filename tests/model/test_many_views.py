@@ -138,9 +138,9 @@ def test_the_wall_of_each_scene_is_found_along_the_rays_of_its_own_camera(views)
 @pytest.mark.parametrize(
     ("low_deg", "high_deg", "scenes", "computed"),
     [
-        (55.0, 65.0, 200, 16),
-        (50.0, 70.0, 200, 16 + 32),
-        (20.0, 150.0, 200, 16 + 32 + 200),  # at the widest, rays miss the wall
+        (55.0, 65.0, 60, 16),
+        (50.0, 70.0, 60, 16 + 32),
+        (20.0, 150.0, 60, 16 + 32 + 60),  # at the widest, rays miss the wall
         (55.0, 65.0, 12, 16),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
-from training_runs import FLIP, config_of, settings
+from training_runs import FLIP, config_of, settings, train_on_one_thread
 
 from itof import DepthMap, ImageFileError, depth_from_phase, read_image
 from itof.exr.image import write_image
@@ -24,22 +24,19 @@ from model.training.uncertainty_fit import UncertaintyFactors, UncertaintyFit
 pytestmark = pytest.mark.usefixtures("one_thread")
 READOUT = MaskAndDepth(20e6, depth_mean_m=3.0, depth_spread_m=0.5, has_uncertainty=True)
 PLAIN = FLIP | {"target": "mask+depth", "width": 8, "batch_size": 2, "block": 2}
-PLAIN |= {"learning_rate": 2e-3, "mask_threshold": 0.2, "clip_norm": 1.0, "max_epochs": 15}
+PLAIN |= {"learning_rate": 1e-3, "mask_threshold": 0.2, "clip_norm": 1.0, "max_epochs": 16}
+PLAIN |= {"seed": 4}  # with which the head becomes over-confident in the last epochs
 UNSURE = PLAIN | {"uncertainty": True}
 
 
 @pytest.fixture(scope="module")
 def plain_run(closed_form_scenes, tmp_path_factory):
-    out = tmp_path_factory.mktemp("plain") / "run"
-    train(closed_form_scenes, out, settings(**PLAIN))
-    return out
+    return train_on_one_thread(closed_form_scenes, tmp_path_factory.mktemp("plain") / "run", **PLAIN)
 
 
 @pytest.fixture(scope="module")
 def unsure_run(closed_form_scenes, tmp_path_factory):
-    out = tmp_path_factory.mktemp("unsure") / "run"
-    train(closed_form_scenes, out, settings(**UNSURE))
-    return out
+    return train_on_one_thread(closed_form_scenes, tmp_path_factory.mktemp("unsure") / "run", **UNSURE)
 
 
 def outputs(logit, depth, log_error):
@@ -89,7 +86,10 @@ def test_the_head_finds_which_pixels_have_large_errors():
     adam = torch.optim.Adam(network.parameters(), lr=4e-3)
     loss = MaskAndDepthLoss(READOUT, beta=1.0)
     size, mask = (8, 12, 12), torch.ones(8, 12, 12)
-    for _ in range(500):
+    for step in range(500):
+        # With a step size that falls to 0, the end does not depend on the last batches, or on the rounding of
+        # a processor: other batches from the same weights gave ratios of 0.88 to 1.25.
+        adam.param_groups[0]["lr"] = 4e-3 * (1 - step / 500)
         spread = torch.rand(8, 1, 1, generator=rng).expand(size)
         noise = 0.05 * (40.0**spread) * torch.randn(size, generator=rng)
         depth_m = READOUT.depth_mean_m + READOUT.depth_spread_m * noise
@@ -125,18 +125,13 @@ def test_a_network_with_uncertainty_begins_as_the_one_without(block):
     assert len(one.independent_parts) == 1
 
 
-def test_everything_else_is_trained_and_kept_as_without_uncertainty(closed_form_scenes, tmp_path):
-    ended = []
-    for name, chosen in (("plain", PLAIN), ("unsure", UNSURE)):
-        longer = {"learning_rate": 1e-3, "max_epochs": 16, "seed": 4}  # whose head is over-confident later
-        ended.append(train(closed_form_scenes, tmp_path / name, settings(**chosen | longer)))
-    assert ended[0].best_epoch == ended[1].best_epoch
-    history = read_history(tmp_path / "unsure")
-    losses = np.array(history["validation_loss"]) - np.array(history["validation_uncertainty"])
-    np.testing.assert_allclose(losses, read_history(tmp_path / "plain")["validation_loss"], rtol=1e-9)
-    assert not any(read_history(tmp_path / "plain")["validation_uncertainty"])
-    assert np.argmin(history["validation_loss"]) != np.argmin(losses)
-    one, other = (load_file(tmp_path / name / "best.safetensors") for name in ("plain", "unsure"))
+def test_everything_else_is_trained_and_kept_as_without_uncertainty(plain_run, unsure_run):
+    plain, unsure = (read_history(run) for run in (plain_run, unsure_run))
+    losses = np.array(unsure["validation_loss"]) - np.array(unsure["validation_uncertainty"])
+    np.testing.assert_allclose(losses, plain["validation_loss"], rtol=1e-9)
+    assert not any(plain["validation_uncertainty"])
+    assert np.argmin(unsure["validation_loss"]) != np.argmin(losses)  # which would keep another epoch
+    one, other = (load_file(run / "best.safetensors") for run in (plain_run, unsure_run))
     assert all(torch.equal(weight, other[name]) for name, weight in one.items())
     assert {name.split(".")[0] for name in other.keys() - one.keys()} == {"uncertainty_head"}
 

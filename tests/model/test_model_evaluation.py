@@ -190,7 +190,7 @@ def test_evaluation_at_another_resolution_or_frequency_is_refused(finished_run, 
     with pytest.raises(EvaluationError, match=r"trained on 24x14 pixels, .* rendered at 30x20"):
         judge(finished_run, larger, tmp_path / "report")
     slower = write_synthetic_dataset(tmp_path / "slower", count=4, itof={"frequencies_hz": [20e6, 50e6]})
-    with pytest.raises(EvaluationError, match=r"trained at \[20.0, 50.0, 60.0\] MHz"):
+    with pytest.raises(EvaluationError, match=r"trained at 20, 50, 60 MHz, .* holds 20, 50 MHz"):
         judge(finished_run, slower, tmp_path / "report")
     assert not (tmp_path / "report").exists()
 

@@ -60,7 +60,7 @@ def test_a_measurement_of_something_else_is_refused_unless_forced(seeing_run, ph
 
 @pytest.mark.long
 def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, wall, tmp_path):
-    out = ("--out", tmp_path / "out", "--device", "cpu")
+    out = ("--out", tmp_path / "out", "--device", "cpu", "--force")  # it has seen a few scenes only
     little = write_npz(tmp_path / "a.npz", phasors=farther(phasors[0], wall, 0.003))
     done = night_here("night-eval", "predict", seeing_run, little, *out)
     assert done.returncode == 0, done.stderr
@@ -149,11 +149,11 @@ def test_darkness_cannot_be_forced_where_it_must_be_rescaled(seeing_run, phasors
 
 def test_a_prediction_of_the_schema_before_is_replaced(seeing_run, exr, tmp_path):
     out = tmp_path / "out"
-    predict_file(seeing_run, exr, out, device="cpu", progress=False)
+    predict_file(seeing_run, exr, out, device="cpu", progress=False, force=True)
     before, record = {file: file.read_bytes() for file in out.iterdir()}, record_of(out)
     old = {key: value for key, value in record.items() if key not in ("ignored", "findings")}
     for image in old["images"]:
         image.pop("wall")
     (out / "prediction.json").write_text(json.dumps(old | {"schema_version": 1}))
-    predict_file(seeing_run, exr, out, device="cpu", progress=False)
+    predict_file(seeing_run, exr, out, device="cpu", progress=False, force=True)
     assert {file: file.read_bytes() for file in out.iterdir()} == before

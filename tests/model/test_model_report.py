@@ -46,12 +46,12 @@ def judged(run, dataset, tmp_path_factory):
     return evaluate(run, dataset, folder, split="train", device="cpu", progress=False), folder
 
 
-def test_averages_of_groups_are_those_done_by_hand(judged, dataset):
-    report, folder = judged
+def test_averages_of_groups_are_those_done_by_hand(judged_run, closed_form_scenes):
+    report, folder = judged_run
     with (folder / "metrics.csv").open(newline="") as stream:
         lines = list(csv.DictReader(stream))
     for line in lines:  # what explains a scene is what its description says
-        scene = dataset.scene(line["scene"])
+        scene = closed_form_scenes.scene(line["scene"])
         assert line["object_class"] == scene.object_class
         assert line["composite"] == str(int(len(scene.hidden_objects) > 1))
         assert float(line["roughness"]) == scene.relay_wall.roughness
@@ -133,14 +133,16 @@ def test_a_run_at_one_frequency_is_judged_on_a_dataset_of_three(dataset, tmp_pat
 
 
 @pytest.mark.parametrize("threshold", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_threshold_that_is_no_amplitude_is_refused(run, dataset, tmp_path, threshold):
+def test_a_threshold_that_is_no_amplitude_is_refused(finished_run, closed_form_scenes, tmp_path, threshold):
     with pytest.raises(EvaluationError, match="an amplitude above 0"):
-        evaluate(run, dataset, tmp_path / "report", progress=False, mask_threshold=threshold)
+        evaluate(
+            finished_run, closed_form_scenes, tmp_path / "report", progress=False, mask_threshold=threshold
+        )
     assert not (tmp_path / "report").exists()
 
 
-def test_the_summary_in_markdown_has_a_line_for_every_shape_and_wall(judged):
-    report, folder = judged
+def test_the_summary_in_markdown_has_a_line_for_every_shape_and_wall(judged_run):
+    report, folder = judged_run
     text = (folder / "summary.md").read_text()
     tables = {table.key: table for table in report.groups}
     for group in (*tables["object_class"].groups, *tables["roughness"].groups):
@@ -149,8 +151,8 @@ def test_the_summary_in_markdown_has_a_line_for_every_shape_and_wall(judged):
     assert set(widths) == {7}
 
 
-def test_the_page_refers_to_nothing_on_the_network(judged):
-    page = Page((judged[1] / "index.html").read_text())
+def test_the_page_refers_to_nothing_on_the_network(judged_run):
+    page = Page((judged_run[1] / "index.html").read_text())
     assert page.references
     assert [r for r in page.references if not r.startswith(("#", "data:"))] == []
     ours = "".join(page.scripts + page.styles)
@@ -167,8 +169,8 @@ def names_of_charts(folder):
     return {file.stem for file in (folder / "figures").iterdir()} - PICTURES
 
 
-def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(judged):
-    report, folder = judged
+def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(judged_run):
+    report, folder = judged_run
     page = Page((folder / "index.html").read_text())
     charts = page.data["chart-data"]
     assert set(charts) == set(page.charts) == names_of_charts(folder)
@@ -321,9 +323,9 @@ def test_a_network_that_sees_nothing_still_gets_a_whole_page(blind, tmp_path, mo
     assert "data-errors" not in document.split("<head")[0]
 
 
-def test_a_damaged_history_is_named(run, dataset, tmp_path):
-    shutil.copytree(run, tmp_path / "run")
+def test_a_damaged_history_is_named(finished_run, closed_form_scenes, tmp_path):
+    shutil.copytree(finished_run, tmp_path / "run")
     (tmp_path / "run" / "history.csv").write_text("epoch,train_loss\n1,much\n")
     with pytest.raises(RunError, match=r"history.csv is damaged"):
-        evaluate(tmp_path / "run", dataset, tmp_path / "report", device="cpu", progress=False)
+        evaluate(tmp_path / "run", closed_form_scenes, tmp_path / "report", device="cpu", progress=False)
     assert not (tmp_path / "report").exists()

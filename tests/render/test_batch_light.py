@@ -53,7 +53,7 @@ def rendered(corners, variant):
     from render.transport.scene_loading import load_scene
 
     view = View(TransientLayout(WIDTH, HEIGHT, 2000, 0.01, 0.0), HZ, 3, 5)
-    method = ManyLight(ManyLightOptions(lights=4096), variant)
+    method = ManyLight(ManyLightOptions(lights=1024), variant)
     found = []
     for scene_id in corners.ids()[:7]:
         phasors = method.expose(load_scene(corners, scene_id), view).phasors()
@@ -71,7 +71,7 @@ def drawn(preset, count, seed):
 @pytest.mark.parametrize("index", range(7))
 def test_the_light_is_that_of_the_renderer_to_the_wanted_error(images, rendered, index):
     hidden, direct = rendered[index][0].hidden, rendered[index][0].direct
-    lights = 0.008  # error of 4096 lights
+    lights = 0.016  # error of 1024 lights
     assert norm(images.hidden[index] - hidden) / norm(hidden) < images.error[index] + lights
     assert images.error[index] <= 0.02
     # 2 % of the hidden light: the renderer divides pixels that an edge crosses, and these lines are exact
@@ -129,7 +129,7 @@ def test_another_batch_has_the_same_kernels():
 
 @pytest.fixture(scope="module")
 def cubes():
-    """Scenes with one cube and a diffuse wall that darkens, in a dozen corners far from the paper's.
+    """Scenes with one cube and a diffuse wall that darkens, in six corners far from the paper's.
 
     The camera is rolled about its axis in half of them, so that edges are upright or level.
     """
@@ -140,13 +140,13 @@ def cubes():
     changed = {"relay_wall": wall, "camera_spread": spread, "hidden_object": one_cube}
     cameras = ({"rotation_deg": [90.0, roll_deg, 50.0]} for roll_deg in (0.0, 85.0))
     presets = (preset_from_dict(data | changed | {"camera": camera}, "test") for camera in cameras)
-    return [scene for preset in presets for scene in drawn(preset, 6, 3)]
+    return [scene for preset in presets for scene in drawn(preset, 3, 3)]
 
 
-def test_an_independent_quadrature_agrees_in_a_dozen_corners(light, cubes):
+def test_an_independent_quadrature_agrees_in_six_corners(light, cubes):
     images = light.images(cubes)
     shows_edge = [(image == 0).any() for image in images.direct[..., 0]]
-    assert 2 <= sum(shows_edge) < 12
+    assert 2 <= sum(shows_edge) < 6
     for scene, direct, hidden, error in zip(cubes, images.direct, images.hidden, images.error, strict=True):
         coarse, fine = (
             CubeLight(scene, HZ, cells, nodes).over_direct(WIDTH, HEIGHT)

@@ -12,6 +12,7 @@ _START_S = 600  # the limit only keeps a broken test from hanging
 # Processes that wait for work take a tenth of a core otherwise.
 _CALM = {
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "10s",
     "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
     "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
 }

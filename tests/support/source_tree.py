@@ -25,11 +25,17 @@ class Import:
 
 
 @cache
+def files() -> tuple[str, ...]:
+    """Each file of the program, as its path from the root."""
+    found = [ROOT / f"{room}.py" for room in ROOMS if (ROOT / f"{room}.py").is_file()]
+    found += [file for room in ROOMS for file in sorted((ROOT / room).rglob("*.py"))]
+    return tuple(str(file.relative_to(ROOT)) for file in found)
+
+
+@cache
 def sources() -> dict[str, ast.Module]:
-    """Syntax tree of each file of the program, by its path from the root."""
-    files = [ROOT / f"{room}.py" for room in ROOMS if (ROOT / f"{room}.py").is_file()]
-    files += [file for room in ROOMS for file in sorted((ROOT / room).rglob("*.py"))]
-    return {str(file.relative_to(ROOT)): ast.parse(file.read_text()) for file in files}
+    """Syntax tree of each file of the program; to be called in tests, as it takes a second."""
+    return {file: ast.parse((ROOT / file).read_text()) for file in files()}
 
 
 def module_of(file: str) -> str:
@@ -44,7 +50,7 @@ def imports() -> dict[str, list[Import]]:
 
 def imports_in(tree: ast.Module) -> list[Import]:
     """What the code of a syntax tree imports."""
-    return list(_imports(tree, {module_of(file) for file in sources()}))
+    return list(_imports(tree, {module_of(file) for file in files()}))
 
 
 def _imports(node: ast.AST, ours: set[str], when_loaded: bool = True) -> Iterator[Import]:

@@ -209,8 +209,8 @@ def test_a_pipe_in_the_place_of_a_new_scene_is_not_waited_for(pipeline_copy):
 
 
 def test_a_scene_folder_of_any_size_is_not_read(tmp_path):
-    for number in range(5):
+    for number, length in enumerate((2**20, 2**20, 2**20, 2**20, 2**30 - 2**22 + 1)):
         with (tmp_path / f"hidden_object_{number}.ply").open("wb") as stream:
-            stream.truncate(2**28)  # without blocks on the disk
+            stream.truncate(length)  # without blocks on the disk
     with pytest.raises(SceneFolderError, match=r"larger than a scene can be \(up to hidden_object_4\.ply\)"):
         read_scene_folder(tmp_path)
