@@ -113,7 +113,7 @@ def test_a_wall_is_moved_onto_a_plane_in_any_corner():
 
 
 def test_in_any_corner_the_light_of_the_true_solids_is_the_measured_one(make_dataset, variant, light):
-    """To 1 %: one pixel with a little of the middle wall, or one block with the end of a shadow, left more."""
+    """To 1 %; a pixel with a little of the middle wall, or a block with the end of a shadow, left more."""
     tables, _ = read_settings("presets", "judge-any-corner")
     corners = make_dataset(tables | {"dataset": {"count": 7, "seed": 4242}})
     for scene_id in corners.ids():
