@@ -30,7 +30,7 @@ from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS
 from scenegen import load_preset, open_dataset
 
 if TYPE_CHECKING:
-    from model.prediction.prediction_files import FilePrediction
+    from model.prediction.predicted_image import FilePrediction
 
 _OF_THE_REPORT = ("scenes", "mask_from", "mask_threshold")
 _OF_THE_CAMERA = ("exposures", "corner_exposures", "each_imperfection", "first")
@@ -198,9 +198,6 @@ def refine(
         which = "a dataset" if is_file else "a file with a measurement"
         raise click.UsageError(f"{names}: for {which}, which {measured} is not; leave it out")
     if is_file:
-        from itof.capture.record import imported_fov_deg
-
-        given.setdefault("horizontal_fov_deg", imported_fov_deg(measured))
         corner = None if room is None else load_preset(room)
         done = model.refine(run, measured, out, room=corner, objects=preset, unknown=unknown or None, **given)
         _tell_prediction(done, out, as_json)
@@ -223,21 +220,19 @@ def predict(
     run: Path,
     measurement: Path,
     out: Path,
-    horizontal_fov_deg: float | None,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Predict depth maps from the measurements in INPUT by the network of RUN.
 
     INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
-    `frequencies_hz` (F) and, if there is one, `reference` (H, W, F): a capture of the empty corner. Each
-    image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY point cloud.
+    `frequencies_hz` (F) and, if there are any, `reference` (H, W, F): a capture of the empty corner, and
+    `horizontal_fov_deg`, one or N. Each image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY
+    point cloud.
     """
     import model
-    from itof.capture.record import imported_fov_deg
 
-    fov_deg = horizontal_fov_deg or imported_fov_deg(measurement)
-    done = model.predict_file(run, measurement, out, horizontal_fov_deg=fov_deg, **options)
+    done = model.predict_file(run, measurement, out, **options)
     _tell_prediction(done, out, as_json)
 
 

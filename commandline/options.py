@@ -202,8 +202,8 @@ FOV = click.option(
     "--fov",
     "horizontal_fov_deg",
     type=Number(1, 170),
-    help="Horizontal field of view of the camera, degrees. By default that of an imported capture, else that "
-    "of the training.",
+    help="Horizontal field of view of the camera, degrees. By default that of the file, its import or its "
+    "dataset, else that of the training.",
 )
 RESCALE = click.option(
     "--rescale/--no-rescale",

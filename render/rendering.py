@@ -24,7 +24,7 @@ from itof import (
     phasor_channels,
     write_image,
 )
-from itof.exr.image import PROJECTOR
+from itof.exr.image import FIELD_OF_VIEW, PROJECTOR
 from render.backend import drjit_threads, select_variant
 from render.batch.light import BOUNCES, SceneLight, suits
 from render.batch.scene_lights import SceneLights
@@ -163,7 +163,7 @@ class Renderer:
         remove_failure(folder)
         edited = edited_attributes(self.dataset, scene_id, source.digest)
         own = {} if source.scene.has_flash else {PROJECTOR: "own"}
-        attributes = {**self._attributes(scene_id), **own, **edited, "recipe": recipe}
+        attributes = {**self._attributes(source.scene), **own, **edited, "recipe": recipe}
         with whole_files(folder, before=forget) as stage:
             if light is None:
                 measured = self._render_measurement(source, attributes, stage)
@@ -296,11 +296,14 @@ class Renderer:
         with whole_file(path) as written:
             write_image(written, channels, attributes)
 
-    def _attributes(self, scene_id: str) -> dict[str, str]:
+    def _attributes(self, scene: Scene) -> dict[str, str]:
         return {
             **_versions(),
             "variant": self.variant,
-            "scene_id": scene_id,
+            "scene_id": scene.id,
+            FIELD_OF_VIEW: repr(scene.camera.horizontal_fov_deg),
+            "camera_location_m": json.dumps(scene.camera.location_m),
+            "camera_rotation_deg": json.dumps(scene.camera.rotation_deg),
             "method": self._method.name,
             "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),

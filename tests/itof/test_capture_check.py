@@ -287,6 +287,9 @@ def test_a_measurement_of_another_program_needs_its_field_of_view(frames):
     write_npz(file, phasors=PHASOR)
     done = night_here("night-eval", "capture", "check", file, "--fov", 60, "--json")
     assert json.loads(done.stdout)["findings"] == []
+    write_npz(file, phasors=PHASOR, horizontal_fov_deg=60.0)
+    done = night_here("night-eval", "capture", "check", file, "--json")
+    assert json.loads(done.stdout)["findings"] == []
     assert "raw frames and their options need --sidecar" in refusal(
         "night-eval", "capture", "check", file, "--fov", 60, "--bin", 2
     )

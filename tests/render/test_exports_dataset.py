@@ -23,7 +23,7 @@ from scenegen import open_dataset, read_record
 
 PARTS = {"phasors": "itof", "direct_phasors": "direct", "hidden_phasors": "hidden"}
 IMAGES = {*PARTS, "mirrored_phasors", "radial_depth_m", "mask"}
-COLUMNS = {"scene_id", "object_class", "split", "roughness", "scene", "render"}
+COLUMNS = {"scene_id", "object_class", "split", "roughness", "horizontal_fov_deg", "scene", "render"}
 DOCUMENTS = {"preset", "provenance", "left_out"}
 
 
@@ -59,6 +59,8 @@ def test_parameters_are_those_of_the_scene_files(exported, seven_renders):
             text = (dataset.scene_folder(entry.id) / "scene.json").read_text()
             assert file["scene"].asstr()[row] == text
             assert file["roughness"][row] == json.loads(text)["relay_wall"]["roughness"]
+            camera = json.loads(text)["camera"]
+            assert file["horizontal_fov_deg"][row] == camera["horizontal_fov_deg"]
             assert file["object_class"].asstr()[row] == entry.object_class
             assert file["split"].asstr()[row] == entry.split
             record = dataclasses.asdict(read_record(dataset.render_folder(entry.id)))
