@@ -95,9 +95,12 @@ night_eval.add_command(capture)
     help="With --sensor: each imperfection of the camera alone, and all but it; at one number of exposures.",
 )
 @click.option("--first", type=COUNT, help="With --sensor: judge the first so many scenes only.")
+@FORCE
 @DEVICE
 @JSON
-def judge(run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, **options: Any) -> None:
+def judge(
+    run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, force: bool, **options: Any
+) -> None:
     """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
     import model
 
@@ -105,11 +108,13 @@ def judge(run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, **opt
     _refuse_mixed(given, behind_camera=sensor is not None)
     if sensor is not None:
         numbers = out.resolve() / "exposures.json"  # the folder "." is another one afterwards
-        found = model.judge_exposures(run, open_dataset(dataset), out, sensor, **given)
+        found = model.judge_exposures(run, open_dataset(dataset), out, sensor, force=force, **given)
         tell([found.table, f"all numbers in {out}"], numbers, as_json)
         return
     metrics = out.resolve() / "metrics.json"
-    report = model.evaluate(run, open_dataset(dataset), out, **given)
+    report = model.evaluate(run, open_dataset(dataset), out, force=force, **given)
+    for warning in report.warnings:
+        say(f"warning: {warning}")
     look = f"look at {out / 'index.html'}; figures and point clouds are beside it"
     tell([report.table, look], metrics, as_json)
 
@@ -187,11 +192,9 @@ def refine(
     import model
 
     given = {name: value for name, value in options.items() if value is not None}
-    if not given["force"]:
-        del given["force"]
     preset = None if objects is None else load_preset(objects)
     is_file = not measured.is_dir()
-    wrong = given.keys() & ({"split", "workers"} if is_file else {"horizontal_fov_deg", "rescale", "force"})
+    wrong = given.keys() & ({"split", "workers"} if is_file else {"horizontal_fov_deg", "rescale"})
     wrong |= {"room"} if room is not None and not is_file else set()
     if wrong:
         names = ", ".join(f"--{'fov' if name == 'horizontal_fov_deg' else name}" for name in sorted(wrong))

@@ -214,5 +214,5 @@ RESCALE = click.option(
 FORCE = click.option(
     "--force",
     is_flag=True,
-    help="Predict although the light in INPUT is not that of the relay wall of RUN.",
+    help="Go on although the light is not that of the relay wall of RUN, or the field of view is another.",
 )

@@ -190,7 +190,7 @@ class Renderer:
         if is_edited(self.dataset, scene_id, digest) and not self.settings.accept_edited:
             refuse_edited(self.dataset, [scene_id])
         scene = scene_of(files, folder)
-        refuse_unlike(scene, self.dataset)
+        refuse_unlike(scene, self.dataset, files, digest)
         return _Source(scene, folder, files, digest)
 
     def _render_measurement(

@@ -238,33 +238,6 @@ def test_the_network_predicts_from_the_file_as_from_the_renders(finished_run, tm
         np.testing.assert_allclose(found.phasor, expected.phasor, atol=1e-5)
 
 
-@pytest.mark.long
-def test_the_data_set_of_the_page_gives_batches_to_pytorch(exported, tmp_path):
-    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
-    block = re.search(r"^```python\n(import h5py\n.*?)^```", page, re.M | re.S)[1]
-    shutil.copy(exported, tmp_path / "paper.h5")
-    check = """
-import numpy as np
-import pytest
-batches = list(loader)
-assert sum(len(batch["mask"]) for batch in batches) == len(loader.dataset) == 4
-assert batches[0]["phasors"].dtype == torch.complex64
-with h5py.File("paper.h5") as file:
-    rows = file["splits/train"][:]
-    for name in ("phasors", "radial_depth_m", "mask"):
-        found = np.concatenate([batch[name].numpy() for batch in batches])
-        values = file[name][:][rows]
-        order = [int(np.argmin([np.abs(v - f).sum() for v in values])) for f in found]  # it was shuffled
-        assert name == "mask" or sorted(order) == [0, 1, 2, 3]
-        assert (found == values[order]).all()
-"""
-    (tmp_path / "page.py").write_text(block + check)
-    done = subprocess.run(
-        [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-
-
 def test_the_lines_of_the_page_that_need_h5py_alone_run(exported, tmp_path):
     page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
     block = re.search(r"^```python\n(import json\n.*?)^```", page, re.M | re.S)[1]
