@@ -44,7 +44,7 @@ def scenes(out: Path, preset: str | None, count: int | None, seed: int | None, w
 
     Damaged scenes are made again. A dataset in OUT brings its own preset.
     """
-    from scenegen.depth_range import refuse_wrapping_depths
+    from scenegen.corner_check import refuse_impossible_corner
     from scenegen.making.datasets import blender_maker
     from scenegen.making.generation import generate
     from scenegen.making.generation_pool import generate_in_processes
@@ -53,7 +53,7 @@ def scenes(out: Path, preset: str | None, count: int | None, seed: int | None, w
 
     settings, preset_folder = _overridden_preset(out, preset, count, seed)
     meshes = read_meshes(settings, preset_folder)
-    refuse_wrapping_depths(settings, meshes)
+    refuse_impossible_corner(settings, meshes)
     hashes = {shape: mesh.sha256 for shape, mesh in meshes.items()}
     check_target(out, settings, hashes)  # before Blender, which takes a second to load
     make_maker = functools.partial(blender_maker, meshes)

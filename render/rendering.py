@@ -60,6 +60,7 @@ from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
 _Result = TypeVar("_Result")
+_CAMERA = ("camera_location_m", "camera_rotation_deg")  # attributes, and fields of the camera
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
 
 
@@ -132,12 +133,12 @@ class Renderer:
                     yield source
 
     def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
-        """The light of the scenes that the batched engine can render with the wanted error, by id."""
+        """The batched engine's light of scenes by id, where it is exact enough and some of it is hidden light."""
         if self._engine is None or self.settings.bounces(self.dataset) != BOUNCES:
             return {}
         suited = [each for each in sources if suits(each.scene) and not self._is_edited(each)]
-        lights = self._engine.of([(each.scene, each.files) for each in suited])
-        return {scene: light for scene, light in lights.items() if light.error <= self._engine.error}
+        found = self._engine.of([(each.scene, each.files) for each in suited]).items()
+        return {k: one for k, one in found if one.error <= self._engine.error and one.hidden.any()}
 
     @cached_property
     def _engine(self) -> SceneLights | None:
@@ -301,9 +302,8 @@ class Renderer:
             **_versions(),
             "variant": self.variant,
             "scene_id": scene.id,
+            **{name: json.dumps(getattr(scene.camera, name.removeprefix("camera_"))) for name in _CAMERA},
             FIELD_OF_VIEW: repr(scene.camera.horizontal_fov_deg),
-            "camera_location_m": json.dumps(scene.camera.location_m),
-            "camera_rotation_deg": json.dumps(scene.camera.rotation_deg),
             "method": self._method.name,
             "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),

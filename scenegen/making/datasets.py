@@ -10,8 +10,8 @@ from typing import Any
 from disk.path_like import PathLike
 from disk.preset_files import read_settings
 from processes.progress import showing_progress
+from scenegen.corner_check import refuse_impossible_corner
 from scenegen.dataset import Dataset
-from scenegen.depth_range import refuse_wrapping_depths
 from scenegen.making.generation_pool import generate_in_processes
 from scenegen.making.meshes import read_meshes
 from scenegen.preset import Preset, preset_from_dict
@@ -50,7 +50,7 @@ def make_dataset(
     """
     settings, folder = _read(preset)
     meshes = read_meshes(settings, folder if mesh_folder is None else Path(mesh_folder))
-    refuse_wrapping_depths(settings, meshes)
+    refuse_impossible_corner(settings, meshes)
     with showing_progress(settings.dataset.count, "scene", "scenes", show=progress) as bar:
         return generate_in_processes(
             Path(out),
