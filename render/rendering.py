@@ -133,7 +133,7 @@ class Renderer:
                     yield source
 
     def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
-        """The batched engine's light of scenes by id, where it is exact enough and some of it is hidden light."""
+        """The batched engine's light of scenes, by id, where it is exact enough and some of it hidden."""
         if self._engine is None or self.settings.bounces(self.dataset) != BOUNCES:
             return {}
         suited = [each for each in sources if suits(each.scene) and not self._is_edited(each)]

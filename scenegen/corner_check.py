@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from disk.preset_files import PresetError
+from scenegen.corner_geometry import Frustum, corners_of, crosses, distances_m, lit_points, local
 from scenegen.depth_range import NO_MESHES, largest_radius_m, refuse_wrapping_depths
 from scenegen.geometry_check import CLEARANCE_M, possible_region
-from scenegen.pose import camera_axes, rotation_matrix, wall_normal
+from scenegen.pose import camera_axes, wall_normal
 from scenegen.preset import CameraSettings, Preset
 from scenegen.sampling import projector_of, walls_of
 from scenegen.scene import Emitter, Wall
@@ -21,7 +22,6 @@ from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
 _Points = NDArray[np.float64]
-_RAYS: Final = 300  # along the longer side of the image: light that comes through a gap of 1 cm meets some
 _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.size_m"
 
 
@@ -50,16 +50,14 @@ def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]
     relay, middle = walls_of(preset)
     camera, projector = preset.camera, projector_of(preset, preset.camera)
     yield from _behind(preset, relay)
-    points = seen_points(camera, relay)
-    if not len(points):
+    seen = Frustum.of_camera(camera).points_on(relay)
+    if not len(seen):
         yield _looks_elsewhere(camera, relay)
     if _meet(relay, middle):
         yield _walls_meet(relay, middle)
-    points = points[~crosses(middle, np.array(camera.location_m), points)]
-    if not len(points):
+    if crosses(middle, np.array(camera.location_m), seen).all():
         yield f"the middle wall hides all of the relay wall from the camera: {_MOVE}"
-    lamp_m = np.array(projector.location_m)
-    points = points[lights(projector, camera, points) & ~crosses(middle, lamp_m, points)]
+    points = lit_points(camera, projector, relay, middle)
     if not len(points):
         yield "the projector lights nothing of the relay wall that the camera sees: turn or move it"
     yield from _in_view(preset, relay, middle, projector)
@@ -146,64 +144,6 @@ def _region(preset: Preset, radius_m: float, relay: Wall, middle: Wall) -> _Poin
     region = possible_region(relay, middle, preset.camera.location_m)
     possible: _Points = places[(places @ region[:, :3].T + region[:, 3] > 0).all(axis=1)]
     return possible
-
-
-def seen_points(camera: CameraSettings, relay: Wall) -> _Points:
-    """(N, 3) points of the relay wall on rays of the camera's image, as if there were no other wall."""
-    longer = max(camera.width, camera.height)
-    across, down = (max(2, round(_RAYS * side / longer)) for side in (camera.width, camera.height))
-    x, y = (2 * (np.arange(count) + 0.5) / count - 1 for count in (across, down))
-    reach = np.tan(np.radians(camera.horizontal_fov_deg) / 2)
-    grid = np.stack([*np.meshgrid(x * reach, y * reach * camera.height / camera.width)], axis=-1).reshape(
-        -1, 2
-    )
-    rays = np.column_stack([grid, np.ones(len(grid))]) @ camera_axes(camera)
-    falls = rays @ wall_normal(relay)
-    towards, origin = falls < 0, np.array(camera.location_m)
-    gap_m = distances_m(relay, origin[None])[0]
-    points = origin + rays[towards] * (gap_m / -falls[towards])[:, None]
-    inside = np.abs(local(relay, points)[:, :2]) <= np.array(relay.size_m) / 2
-    return points[inside.all(axis=1)]
-
-
-def lights(projector: Emitter, camera: CameraSettings, points: _Points) -> NDArray[np.bool_]:
-    """(N,) whether points (N, 3) are in the image of the projector."""
-    right, up, backward = rotation_matrix(projector.rotation_deg).T
-    away = points - projector.location_m
-    depth = away @ -backward
-    width, height = projector.dots or (camera.width, camera.height)
-    reach = np.tan(np.radians(projector.horizontal_fov_deg) / 2) * depth * (1 + 1e-9)
-    lit: NDArray[np.bool_] = (depth > 0) & (np.abs(away @ right) <= reach)
-    return lit & (np.abs(away @ up) <= reach * height / width)
-
-
-def local(wall: Wall, points: _Points) -> _Points:
-    """Points (..., 3) in the frame of a wall: along its own x and y, and in front of it."""
-    own: _Points = (points - np.array(wall.location_m)) @ rotation_matrix(wall.rotation_deg)
-    return own
-
-
-def distances_m(wall: Wall, points: _Points) -> _Points:
-    """(N,) distances of points (N, 3) from the plane of a wall, towards its front, metres."""
-    return local(wall, points)[:, 2]
-
-
-def corners_of(wall: Wall) -> _Points:
-    """(4, 3) corners of a wall, around it."""
-    square = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
-    placed: _Points = square * [*wall.size_m, 0] @ rotation_matrix(wall.rotation_deg).T
-    return placed + wall.location_m
-
-
-def crosses(wall: Wall, start: _Points, ends: _Points, margin_m: float = 0.0) -> NDArray[np.bool_]:
-    """(N,) whether segments from `start`, (3,) or (N, 3), to `ends` (N, 3) cross a wall with a margin."""
-    one, other = np.broadcast_to(local(wall, start), ends.shape), local(wall, ends)
-    apart = one[:, 2] - other[:, 2]
-    through = one[:, 2] * other[:, 2] < 0
-    share = one[:, 2] / np.where(through, apart, 1.0)
-    met = one[:, :2] + share[:, None] * (other - one)[:, :2]
-    inside: NDArray[np.bool_] = (np.abs(met) <= np.array(wall.size_m) / 2 + margin_m).all(axis=1)
-    return through & inside
 
 
 def _meet(relay: Wall, middle: Wall) -> bool:

@@ -22,7 +22,7 @@ from typing import cast
 import numpy as np
 
 from disk import NightError, PathLike
-from disk.quantities import fov_problem
+from disk.quantities import FREQUENCY, fov_problem
 from itof.arrays import Complex, Numbers, Phasors
 from itof.exr.image import FIELD_OF_VIEW
 from itof.files.array_claims import ARRAYS, RefusedError
@@ -75,8 +75,7 @@ class Measurement:
             if not np.isclose(found[index], f, rtol=_SAME_FREQUENCY, atol=0)
         ]
         if missing:
-            is_megahertz = found.max() < 1e4  # no camera modulates below 10 kHz
-            hint = "; frequencies_hz is in Hz, not MHz" if is_megahertz else ""
+            hint = "; frequencies_hz is in Hz, not MHz" if found.max() < FREQUENCY.least else ""
             raise MeasurementError(
                 f"{self.path} holds {megahertz(*found)}, the network also needs {megahertz(*missing)}{hint}"
             )

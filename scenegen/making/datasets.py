@@ -22,6 +22,7 @@ def make_dataset(
     preset: Preset | PathLike,
     *,
     mesh_folder: PathLike | None = None,
+    replace: bool = False,
     workers: int = 1,
     progress: bool = True,
 ) -> Dataset:
@@ -37,6 +38,7 @@ def make_dataset(
     preset : the settings, or the name or file of a preset as `scenegen.load_preset` takes it.
     mesh_folder : folder of the files that the shapes ``mesh:FILE`` name; None for the folder of the preset's
         file, or the working directory where `preset` is no file.
+    replace : whether a dataset of another preset in `out` is replaced; its renders are deleted.
     workers : number of processes, 350 MB each; the dataset is the same.
     progress : whether to show the progress.
 
@@ -59,6 +61,7 @@ def make_dataset(
             bar.update,
             workers=workers,
             meshes={shape: mesh.sha256 for shape, mesh in meshes.items()},
+            replacing=replace,
         )
 
 

@@ -90,6 +90,11 @@ def test_every_corner_of_the_presets_is_possible(name):
         refuse_impossible_corner(replace(one_corner, camera=sample_scene(preset, index).camera))
 
 
+def test_a_spot_is_enough_light():
+    spot = {"horizontal_fov_deg": 0.05, "rotation_deg": [90.0, 0.0, 62.0], "dots": [1, 1]}
+    refuse_impossible_corner(preset_from_dict({"projector": spot}, "test"))
+
+
 @pytest.mark.parametrize("gap_m", [0.01, 0.1])
 def test_a_narrow_gap_is_a_gap(gap_m):
     refuse_impossible_corner(
