@@ -1,4 +1,4 @@
-"""The commands of ``night-gen``: ``scenes`` and ``preview``."""
+"""The commands of ``night-gen``: ``scenes``, ``corner`` and ``preview``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import click
 from commandline.confirmation import YES, confirm_deletion
 from commandline.endings import NightGroup
 from commandline.options import FOLDER, chosen_scenes
+from commandline.results import JSON, tell
 from commandline.streams import say
 from disk import read_settings
 from processes import deferred_signals, showing_progress
@@ -83,6 +84,28 @@ def scenes(
     if found:
         say(f"warning: the splits leak in {len(found)} places, for example: {found[0]}")
     click.echo(dataset.sentence())
+
+
+@night_gen.command(short_help="Plan, side view and distances of a corner.")
+@click.argument("preset")
+@click.option("--out", type=FOLDER, metavar="FILE", help="A .png file.  [default: PRESET_corner.png]")
+@JSON
+def corner(preset: str, out: Path | None, as_json: bool) -> None:
+    """Draw the corner of PRESET from above and from the side, and say its distances, without making scenes.
+
+    PRESET is a name in data/presets, or a .toml file. A corner that cannot be is drawn, too, and then
+    refused.
+    """
+    from render.products.corner_figure import write_corner
+    from scenegen.corner_check import refuse_impossible_corner
+    from scenegen.making.meshes import read_meshes
+
+    data, origin = read_settings("presets", preset)
+    settings = preset_from_dict(data, origin)
+    meshes, file = read_meshes(settings, Path(origin).parent), out or Path(f"{Path(origin).stem}_corner.png")
+    facts = write_corner(settings, file, meshes)
+    tell([*facts.sentences, f"plan and side view: {file}"], facts.as_data(), as_json)
+    refuse_impossible_corner(settings, meshes)
 
 
 @night_gen.command(short_help="Contact sheet, plots and card of a dataset.")
