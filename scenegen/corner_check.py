@@ -53,8 +53,9 @@ def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]
     seen = Frustum.of_camera(camera).points_on(relay)
     if not len(seen):
         yield _looks_elsewhere(camera, relay)
-    if _meet(relay, middle):
-        yield _walls_meet(relay, middle)
+    gap_m = float(distances_m(relay, corners_of(middle)).min())
+    if gap_m < -CLEARANCE_M and _meet(relay, middle):
+        yield f"the middle wall crosses the relay wall and reaches {-gap_m:.3g} m behind it: {_MOVE}"
     if crosses(middle, np.array(camera.location_m), seen).all():
         yield f"the middle wall hides all of the relay wall from the camera: {_MOVE}"
     points = lit_points(camera, projector, relay, middle)
@@ -63,7 +64,8 @@ def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]
     yield from _in_view(preset, relay, middle, projector)
     places = _region(preset, largest_radius_m(preset, meshes), relay, middle)
     if len(places) and all(crosses(middle, place, points).all() for place in places):
-        gap_m = distances_m(relay, corners_of(middle)).min()
+        if gap_m <= CLEARANCE_M and _meet(relay, middle):
+            yield f"the middle wall touches the relay wall, so that there is no gap for the light: {_MOVE}"
         yield (
             "no lit point of the relay wall sees the region of hidden_object.location_m: the middle wall, "
             f"whose edge is {gap_m:.3g} m from the relay wall, hides it: {_MOVE}, or move the region"
@@ -94,15 +96,6 @@ def _looks_elsewhere(camera: CameraSettings, relay: Wall) -> str:
             f"wall, which ends at {relay.size_m[0] / 2:g} m and {relay.size_m[1] / 2:g} m"
         )
     return f"the camera sees nothing of the relay wall, {what}: turn camera.rotation_deg or move one of them"
-
-
-def _walls_meet(relay: Wall, middle: Wall) -> str:
-    through_m = -float(distances_m(relay, corners_of(middle)).min())
-    if through_m > CLEARANCE_M:
-        what = f"the middle wall crosses the relay wall and reaches {through_m:.3g} m behind it"
-    else:
-        what = "the middle wall touches the relay wall"
-    return f"{what}, so that there is no gap for the light between them: {_MOVE}"
 
 
 def _in_view(preset: Preset, relay: Wall, middle: Wall, projector: Emitter) -> Iterator[str]:

@@ -133,7 +133,7 @@ def unbounded(hint, place):
         ends = {
             end for each in limits for end in ("least", "most", "ge", "gt", "le", "lt") if hasattr(each, end)
         }
-        if kind is float:
+        if kind in (float, int):
             if not (ends & {"least", "ge", "gt"} and ends & {"most", "le", "lt"}):
                 yield place
         else:
@@ -141,7 +141,7 @@ def unbounded(hint, place):
     elif is_dataclass(hint):
         for name, each in get_type_hints(hint, include_extras=True).items():
             yield from unbounded(each, f"{place}.{name}")
-    elif hint is float:
+    elif hint in (float, int):
         yield place
     else:
         for each in get_args(hint):

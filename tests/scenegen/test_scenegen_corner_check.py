@@ -8,12 +8,14 @@ from night_commands import refusal
 from disk.preset_files import PresetError
 from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
 from scenegen.corner_check import refuse_impossible_corner
+from scenegen.geometry_check import refusal as refusal_of
+from scenegen.sampling import sample_valid_scene
 
 # In the paper's corner, the middle wall is 3.3 m wide, in the plane y = 0; the relay wall is in x = 0.
 IMPOSSIBLE = {
     "walls that cross": (
         {"middle_wall": {"location_m": [1.6, 0.0, 2.0]}},
-        r"the middle wall crosses the relay wall and reaches 0.05 m behind it, .* smaller middle_wall.size_m",
+        r"the middle wall crosses the relay wall and reaches 0.05 m behind it: .* smaller middle_wall.size_m",
     ),
     "a closed gap": (
         {"middle_wall": {"location_m": [1.65, 0.0, 2.0]}},
@@ -88,6 +90,16 @@ def test_every_corner_of_the_presets_is_possible(name):
     one_corner = replace(preset, camera_spread=type(preset.camera_spread)())
     for index in range(0 if preset.is_one_corner else 60):
         refuse_impossible_corner(replace(one_corner, camera=sample_scene(preset, index).camera))
+
+
+def test_light_may_also_go_over_a_wall_that_leaves_no_gap():
+    low = {"size_m": [3.3, 1.3], "location_m": [1.65, 0.0, 0.65]}
+    hidden = {"location_m": {"z": [0.3, 0.5]}, "shapes": ["cube"], "composite_fraction": 0.0}
+    hidden |= {"size_m": {"cube": [0.2, 0.2, 0.2]}}
+    camera = {"location_m": [1.0, -1.0, 0.5], "rotation_deg": [100.0, 0.0, 50.0]}
+    preset = preset_from_dict({"middle_wall": low, "hidden_object": hidden, "camera": camera}, "test")
+    refuse_impossible_corner(preset)
+    sample_valid_scene(preset, 0, refusal_of)
 
 
 def test_a_spot_is_enough_light():
