@@ -78,7 +78,9 @@ def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, w
     assert (record["schema_version"], record["ignored"]) == (PREDICTION_SCHEMA, [])
 
     arrays = {"phasors": phasors[0], "reference": wall.direct, "ref": phasors[1], "note": np.array("mine")}
-    done = night_here("night-eval", "predict", seeing_run, write_npz(tmp_path / "b.npz", **arrays), *out)
+    compared = write_npz(tmp_path / "b.npz", **arrays)
+    done = night_here("night-eval", "predict", seeing_run, compared, *out, "--force")
+    assert done.returncode == 0, done.stderr
     assert "warning: the wall" not in done.stderr
     reference, place, ignored, *_ = done.stdout.splitlines()
     assert reference == "reference: measured (the array reference)"
