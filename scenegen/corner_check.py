@@ -7,21 +7,19 @@ from itertools import product
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from disk.preset_files import PresetError
-from scenegen.corner_geometry import Frustum, corners_of, crosses, distances_m, lit_points, local
+from scenegen.corner_geometry import Frustum, Points, corners_of, crosses, distances_m, lit_points, local
 from scenegen.depth_range import NO_MESHES, largest_radius_m, refuse_wrapping_depths
 from scenegen.geometry_check import CLEARANCE_M, possible_region
 from scenegen.pose import camera_axes, wall_normal
 from scenegen.preset import CameraSettings, Preset
 from scenegen.sampling import projector_of, walls_of
 from scenegen.scene import Emitter, Wall
-from scenegen.shapes import Shape
+from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
-_Points = NDArray[np.float64]
 _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.size_m"
 
 
@@ -61,7 +59,7 @@ def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]
     points = lit_points(camera, projector, relay, middle)
     if not len(points):
         yield "the projector lights nothing of the relay wall that the camera sees: turn or move it"
-    yield from _in_view(preset, relay, middle, projector)
+    yield from _in_view(preset, relay, middle, projector, meshes)
     places = _region(preset, largest_radius_m(preset, meshes), relay, middle)
     if len(places) and all(crosses(middle, place, points).all() for place in places):
         if gap_m <= CLEARANCE_M and _meet(relay, middle):
@@ -95,13 +93,17 @@ def _looks_elsewhere(camera: CameraSettings, relay: Wall) -> str:
             f"its axis meets the plane of the wall {abs(x):.3g} m and {abs(y):.3g} m from the middle of the "
             f"wall, which ends at {relay.size_m[0] / 2:g} m and {relay.size_m[1] / 2:g} m"
         )
-    return f"the camera sees nothing of the relay wall, {what}: turn camera.rotation_deg or move one of them"
+    return f"the camera sees nothing of the relay wall, because {what}: turn the camera, or move one"
 
 
-def _in_view(preset: Preset, relay: Wall, middle: Wall, projector: Emitter) -> Iterator[str]:
-    """Why no object's centre is possible, which lies within the object's convex hull."""
-    ranges = preset.hidden_object.location_m
-    box = np.array([ranges.x, ranges.y, ranges.z])  # (3, 2)
+def _in_view(
+    preset: Preset, relay: Wall, middle: Wall, projector: Emitter, meshes: Mapping[Shape, UnitMesh]
+) -> Iterator[str]:
+    """Why no object's centre is possible, which is in the convex hull of primitives, not of all meshes."""
+    has_mesh = any(shape.startswith(MESH_PREFIX) for shape in preset.hidden_object.shapes)
+    margin_m = largest_radius_m(preset, meshes) if has_mesh else 0.0
+    ranges, wider_m = preset.hidden_object.location_m, np.array([-margin_m, margin_m])
+    box = np.array([ranges.x, ranges.y, ranges.z]) + wider_m  # (3, 2)
     for eye, who in ((preset.camera.location_m, "camera"), (projector.location_m, "projector")):
         region = possible_region(relay, middle, eye)  # (6, 4)
         behind_m = -float(_most(region[:1], box)[0])
@@ -118,24 +120,24 @@ def _in_view(preset: Preset, relay: Wall, middle: Wall, projector: Emitter) -> I
             )
 
 
-def _most(region: _Points, box: _Points) -> _Points:
+def _most(region: Points, box: Points) -> Points:
     """Largest value of n · x + d in a box (3, 2), of each half-space (n, d)."""
-    most: _Points = np.maximum(region[:, :3] * box[:, 0], region[:, :3] * box[:, 1]).sum(axis=1)
+    most: Points = np.maximum(region[:, :3] * box[:, 0], region[:, :3] * box[:, 1]).sum(axis=1)
     return most + region[:, 3]
 
 
-def _has_point(region: _Points, box: _Points) -> bool:
+def _has_point(region: Points, box: Points) -> bool:
     """Whether a point of the box (3, 2) is in all half-spaces n · x + d >= 0."""
     return bool(linprog(np.zeros(3), -region[:, :3], region[:, 3], bounds=box).status == 0)
 
 
-def _region(preset: Preset, radius_m: float, relay: Wall, middle: Wall) -> _Points:
+def _region(preset: Preset, radius_m: float, relay: Wall, middle: Wall) -> Points:
     """(N, 3) possible places in the box that objects of this radius may reach."""
     ranges = preset.hidden_object.location_m
     sides = [np.linspace(low - radius_m, high + radius_m, 3) for low, high in (ranges.x, ranges.y, ranges.z)]
     places = np.array(list(product(*sides)))
     region = possible_region(relay, middle, preset.camera.location_m)
-    possible: _Points = places[(places @ region[:, :3].T + region[:, 3] > 0).all(axis=1)]
+    possible: Points = places[(places @ region[:, :3].T + region[:, 3] > 0).all(axis=1)]
     return possible
 
 

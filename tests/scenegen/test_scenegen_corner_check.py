@@ -1,14 +1,17 @@
 """Corners that cannot be are refused before anything is made, each by name, with numbers and what to do."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
+import trimesh
 from night_commands import refusal
 
 from disk.preset_files import PresetError
 from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
 from scenegen.corner_check import refuse_impossible_corner
 from scenegen.geometry_check import refusal as refusal_of
+from scenegen.making.meshes import read_meshes
 from scenegen.sampling import sample_valid_scene
 
 # In the paper's corner, the middle wall is 3.3 m wide, in the plane y = 0; the relay wall is in x = 0.
@@ -35,7 +38,7 @@ IMPOSSIBLE = {
     ),
     "a camera that is turned away": (
         {"camera": {"rotation_deg": [90.0, 0.0, 230.0]}},
-        r"sees nothing of the relay wall, its axis is 140 degrees from the direction straight towards",
+        r"sees nothing of the relay wall, because its axis is 140 degrees from the direction",
     ),
     "a camera behind the middle wall": (
         {"middle_wall": {"rotation_deg": [90.0, 0.0, 90.0], "location_m": [0.5, -1.0, 2.0]}},
@@ -112,3 +115,16 @@ def test_a_narrow_gap_is_a_gap(gap_m):
     refuse_impossible_corner(
         preset_from_dict({"middle_wall": {"location_m": [1.65 + gap_m, 0.0, 2.0]}}, "test")
     )
+
+
+def test_the_centre_of_a_meshs_box_may_be_in_view(tmp_path):
+    """Half of this tetrahedron's box is empty, and the middle of the box is not in the tetrahedron."""
+    places = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    corner = trimesh.Trimesh(places, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    corner.export(tmp_path / "tetrahedron.ply")
+    shapes = {"shapes": ["mesh:tetrahedron.ply"], "composite_fraction": 0.0}
+    place = {"location_m": {"x": [1.15, 1.15], "y": [-0.02, -0.02], "z": [1.6, 1.6]}}
+    preset = preset_from_dict({"hidden_object": shapes | place | {"size_m": {"mesh": 0.3}}}, "test")
+    meshes = read_meshes(preset, tmp_path)
+    refuse_impossible_corner(preset, meshes)
+    sample_valid_scene(preset, 0, partial(refusal_of, meshes=meshes))
