@@ -30,7 +30,7 @@ from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS
 from scenegen import load_preset, open_dataset
 
 if TYPE_CHECKING:
-    from model.prediction.prediction_files import FilePrediction
+    from model.prediction.predicted_image import FilePrediction
 
 _OF_THE_REPORT = ("scenes", "mask_from", "mask_threshold")
 _OF_THE_CAMERA = ("exposures", "corner_exposures", "each_imperfection", "first")
@@ -98,9 +98,12 @@ night_eval.add_command(capture)
     help="Each imperfection of the camera alone, and all but it; at one number of exposures.",
 )
 @option(_WITH_SENSOR, "--first", type=COUNT, help="Judge the first so many scenes only.")
+@FORCE
 @DEVICE
 @JSON
-def judge(run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, **options: Any) -> None:
+def judge(
+    run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, force: bool, **options: Any
+) -> None:
     """Judge the network of RUN against the ground truth of DATASET; this word may be left out."""
     import model
 
@@ -108,11 +111,13 @@ def judge(run: Path, dataset: Path, out: Path, as_json: bool, sensor: Any, **opt
     _refuse_mixed(given, behind_camera=sensor is not None)
     if sensor is not None:
         numbers = out.resolve() / "exposures.json"  # the folder "." is another one afterwards
-        found = model.judge_exposures(run, open_dataset(dataset), out, sensor, **given)
+        found = model.judge_exposures(run, open_dataset(dataset), out, sensor, force=force, **given)
         tell([found.table, f"all numbers in {out}"], numbers, as_json)
         return
     metrics = out.resolve() / "metrics.json"
-    report = model.evaluate(run, open_dataset(dataset), out, **given)
+    report = model.evaluate(run, open_dataset(dataset), out, force=force, **given)
+    for warning in report.warnings:
+        say(f"warning: {warning}")
     look = f"look at {out / 'index.html'}; figures and point clouds are beside it"
     tell([report.table, look], metrics, as_json)
 
@@ -190,20 +195,15 @@ def refine(
     import model
 
     given = {name: value for name, value in options.items() if value is not None}
-    if not given["force"]:
-        del given["force"]
     preset = None if objects is None else load_preset(objects)
     is_file = not measured.is_dir()
-    wrong = given.keys() & ({"split", "workers"} if is_file else {"horizontal_fov_deg", "rescale", "force"})
+    wrong = given.keys() & ({"split", "workers"} if is_file else {"horizontal_fov_deg", "rescale"})
     wrong |= {"room"} if room is not None and not is_file else set()
     if wrong:
         names = ", ".join(f"--{'fov' if name == 'horizontal_fov_deg' else name}" for name in sorted(wrong))
         which = "a dataset" if is_file else "a file with a measurement"
         raise click.UsageError(f"{names}: for {which}, which {measured} is not; leave it out")
     if is_file:
-        from itof.capture.record import imported_fov_deg
-
-        given.setdefault("horizontal_fov_deg", imported_fov_deg(measured))
         corner = None if room is None else load_preset(room)
         done = model.refine(run, measured, out, room=corner, objects=preset, unknown=unknown or None, **given)
         _tell_prediction(done, out, as_json)
@@ -226,21 +226,19 @@ def predict(
     run: Path,
     measurement: Path,
     out: Path,
-    horizontal_fov_deg: float | None,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Predict depth maps from the measurements in INPUT by the network of RUN.
 
     INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
-    `frequencies_hz` (F) and, if there is one, `reference` (H, W, F): a capture of the empty corner. Each
-    image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY point cloud.
+    `frequencies_hz` (F) and, if there are any, `reference` (H, W, F): a capture of the empty corner, and
+    `horizontal_fov_deg`, one or N. Each image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY
+    point cloud.
     """
     import model
-    from itof.capture.record import imported_fov_deg
 
-    fov_deg = horizontal_fov_deg or imported_fov_deg(measurement)
-    done = model.predict_file(run, measurement, out, horizontal_fov_deg=fov_deg, **options)
+    done = model.predict_file(run, measurement, out, **options)
     _tell_prediction(done, out, as_json)
 
 

@@ -209,8 +209,8 @@ FOV = click.option(
     "--fov",
     "horizontal_fov_deg",
     type=Number(1, 170),
-    help="Horizontal field of view of the camera, degrees. By default that of an imported capture, else that "
-    "of the training.",
+    help="Horizontal field of view of the camera, degrees. By default that of the file, its import or its "
+    "dataset, else that of the training.",
 )
 RESCALE = click.option(
     "--rescale/--no-rescale",
@@ -221,5 +221,5 @@ RESCALE = click.option(
 FORCE = click.option(
     "--force",
     is_flag=True,
-    help="Predict although the light in INPUT is not that of the relay wall of RUN.",
+    help="Go on although the light is not that of the relay wall of RUN, or the field of view is another.",
 )

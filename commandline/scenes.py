@@ -1,4 +1,4 @@
-"""The commands of ``night-gen``: ``scenes`` and ``preview``."""
+"""The commands of ``night-gen``: ``scenes``, ``corner`` and ``preview``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Any
 
 import click
 
+from commandline.confirmation import YES, confirm_deletion
 from commandline.endings import NightGroup
 from commandline.options import FOLDER, chosen_scenes
+from commandline.results import JSON, tell
 from commandline.streams import say
 from disk import read_settings
 from processes import deferred_signals, showing_progress
@@ -39,35 +41,71 @@ def night_gen() -> None:
     show_default=True,
     help="Processes that make scenes, 350 MB each; the dataset is the same.",
 )
-def scenes(out: Path, preset: str | None, count: int | None, seed: int | None, workers: int) -> None:
+@click.option("--replace", is_flag=True, help="Make a dataset in OUT again with another preset; asks first.")
+@YES
+def scenes(
+    out: Path,
+    preset: str | None,
+    count: int | None,
+    seed: int | None,
+    workers: int,
+    replace: bool,
+    yes: bool,
+) -> None:
     """Make the scenes of a preset in the folder OUT; a larger --count than before adds scenes.
 
-    Damaged scenes are made again. A dataset in OUT brings its own preset.
+    Damaged scenes are made again. A dataset in OUT brings its own preset; with --replace, another preset
+    replaces its scenes and deletes its renders.
     """
-    from scenegen.depth_range import refuse_wrapping_depths
+    from scenegen.corner_check import refuse_impossible_corner
     from scenegen.making.datasets import blender_maker
     from scenegen.making.generation import generate
     from scenegen.making.generation_pool import generate_in_processes
     from scenegen.making.meshes import read_meshes
+    from scenegen.making.replacing import losses
     from scenegen.making.target import check_target
 
     settings, preset_folder = _overridden_preset(out, preset, count, seed)
     meshes = read_meshes(settings, preset_folder)
-    refuse_wrapping_depths(settings, meshes)
+    refuse_impossible_corner(settings, meshes)
     hashes = {shape: mesh.sha256 for shape, mesh in meshes.items()}
-    check_target(out, settings, hashes)  # before Blender, which takes a second to load
+    check_target(out, settings, hashes, replacing=replace)  # before Blender, which takes a second to load
+    if replace and (lost := losses(out, settings, hashes)):
+        confirm_deletion(lost, yes)
     make_maker = functools.partial(blender_maker, meshes)
     with showing_progress(settings.dataset.count, "scene", "scenes") as bar:
         if workers == 1:
-            dataset = generate(out, settings, make_maker(), bar.update, meshes=hashes)
+            dataset = generate(out, settings, make_maker(), bar.update, meshes=hashes, replacing=replace)
         else:
             dataset = generate_in_processes(
-                out, settings, make_maker, bar.update, workers=workers, meshes=hashes
+                *(out, settings, make_maker, bar.update), workers=workers, meshes=hashes, replacing=replace
             )
     found = leaks(dataset.scene(scene_id) for scene_id in dataset.ids())
     if found:
         say(f"warning: the splits leak in {len(found)} places, for example: {found[0]}")
     click.echo(dataset.sentence())
+
+
+@night_gen.command(short_help="Plan, side view and distances of a corner.")
+@click.argument("preset")
+@click.option("--out", type=FOLDER, metavar="FILE", help="A .png file.  [default: PRESET_corner.png]")
+@JSON
+def corner(preset: str, out: Path | None, as_json: bool) -> None:
+    """Draw the corner of PRESET from above and from the side, and say its distances, without making scenes.
+
+    PRESET is a name in data/presets, or a .toml file. A corner that cannot be is drawn, too, and then
+    refused.
+    """
+    from render.products.corner_figure import write_corner
+    from scenegen.corner_check import refuse_impossible_corner
+    from scenegen.making.meshes import read_meshes
+
+    data, origin = read_settings("presets", preset)
+    settings = preset_from_dict(data, origin)
+    meshes, file = read_meshes(settings, Path(origin).parent), out or Path(f"{Path(origin).stem}_corner.png")
+    facts = write_corner(settings, file, meshes)
+    tell([*facts.sentences, f"plan and side view: {file}"], facts.as_data(), as_json)
+    refuse_impossible_corner(settings, meshes)
 
 
 @night_gen.command(short_help="Contact sheet, plots and card of a dataset.")

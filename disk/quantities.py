@@ -16,7 +16,7 @@ class Bounds:
 
     Attributes
     ----------
-    below, above : advice for a number out of the bounds; ``{}`` stands for the number.
+    below, above : advice for a number out of the bounds.
     """
 
     least: float
@@ -31,7 +31,7 @@ class Bounds:
             return None
         unit, given = f" {self.unit}" if self.unit else "", f"{value:.10g}"
         advice = self.below if value < self.least else self.above
-        ending = f": {advice.format(given)}" if advice else ""
+        ending = f": {advice}" if advice else ""
         return f"must be {self.least:g} to {self.most:g}{unit} (got {given}){ending}"
 
     def __get_pydantic_core_schema__(
@@ -48,7 +48,7 @@ class Bounds:
 
 FARTHEST_M = 1000
 MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0  # also least of an image that is imported
-FREQUENCY = Bounds(1e4, 1e10, "Hz", below="give Hz, not MHz, like {}e6")  # no camera modulates beyond
+FREQUENCY = Bounds(1e6, 1e10, "Hz", below="give Hz, as 20e6 for 20 MHz")  # cameras modulate within
 TRANSMITTED = Bounds(1e-6, 1)  # part of the light or of its electrons
 BIN_WIDTH = Bounds(1e-9, 1e6, "m")  # of a transient file of any program; those of presets are a `Length`
 JOB_MEMORY = Bounds(1e8, 1e15, "bytes", below="give it with a unit, like 32GB")

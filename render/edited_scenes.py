@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from disk import NightError
 from render.settings import RenderError
 from scenegen import Dataset, Scene
+from scenegen.mesh_places import misplaced
 from scenegen.scene_folder import differences, folder_digest, ineffective, read_scene_folder, scene_of
 
 SCENE_FILES = "scene_files"  # attribute of renders of such scenes
@@ -74,13 +75,21 @@ def without_effect(dataset: Dataset, scenes: Sequence[str]) -> str:
     )
 
 
-def refuse_unlike(scene: Scene, dataset: Dataset) -> None:
-    """Refuse a scene that would be rendered otherwise than it says; night-gen makes none."""
+def refuse_unlike(scene: Scene, dataset: Dataset, files: Mapping[str, bytes], digest: str) -> None:
+    """Refuse a scene that would be rendered otherwise than it says; night-gen makes none.
+
+    Parameters
+    ----------
+    files, digest : of the scene's folder.
+    """
     if len({part.reflectance for part in scene.hidden_objects}) > 1:
         raise RenderError(
             f"scene {scene.id}: its hidden objects have different reflectances, but share one material: give "
             "them the same reflectance"
         )
+    folder = dataset.scene_folder(scene.id)
+    if is_edited(dataset, scene.id, digest) and (problem := misplaced(scene, files, folder)):
+        raise RenderError(f"scene {scene.id}: {problem}")
     seen, camera = scene.camera, dataset.preset.camera
     if seen.width * camera.height != seen.height * camera.width:
         raise RenderError(

@@ -24,7 +24,7 @@ from itof import (
     phasor_channels,
     write_image,
 )
-from itof.exr.image import PROJECTOR
+from itof.exr.image import FIELD_OF_VIEW, PROJECTOR
 from render.backend import drjit_threads, select_variant
 from render.batch.light import BOUNCES, SceneLight, suits
 from render.batch.scene_lights import SceneLights
@@ -60,6 +60,7 @@ from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
 _Result = TypeVar("_Result")
+_CAMERA = ("camera_location_m", "camera_rotation_deg")  # attributes, and fields of the camera
 _SPLAT: Splat = "quadratic"  # of all methods: `render.transport.time_bins.splat_quadratic`
 
 
@@ -132,12 +133,12 @@ class Renderer:
                     yield source
 
     def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
-        """The light of the scenes that the batched engine can render with the wanted error, by id."""
+        """The batched engine's light of scenes, by id, where it is exact enough and some of it hidden."""
         if self._engine is None or self.settings.bounces(self.dataset) != BOUNCES:
             return {}
         suited = [each for each in sources if suits(each.scene) and not self._is_edited(each)]
-        lights = self._engine.of([(each.scene, each.files) for each in suited])
-        return {scene: light for scene, light in lights.items() if light.error <= self._engine.error}
+        found = self._engine.of([(each.scene, each.files) for each in suited]).items()
+        return {k: one for k, one in found if one.error <= self._engine.error and one.hidden.any()}
 
     @cached_property
     def _engine(self) -> SceneLights | None:
@@ -163,7 +164,7 @@ class Renderer:
         remove_failure(folder)
         edited = edited_attributes(self.dataset, scene_id, source.digest)
         own = {} if source.scene.has_flash else {PROJECTOR: "own"}
-        attributes = {**self._attributes(scene_id), **own, **edited, "recipe": recipe}
+        attributes = {**self._attributes(source.scene), **own, **edited, "recipe": recipe}
         with whole_files(folder, before=forget) as stage:
             if light is None:
                 measured = self._render_measurement(source, attributes, stage)
@@ -190,7 +191,7 @@ class Renderer:
         if is_edited(self.dataset, scene_id, digest) and not self.settings.accept_edited:
             refuse_edited(self.dataset, [scene_id])
         scene = scene_of(files, folder)
-        refuse_unlike(scene, self.dataset)
+        refuse_unlike(scene, self.dataset, files, digest)
         return _Source(scene, folder, files, digest)
 
     def _render_measurement(
@@ -296,11 +297,13 @@ class Renderer:
         with whole_file(path) as written:
             write_image(written, channels, attributes)
 
-    def _attributes(self, scene_id: str) -> dict[str, str]:
+    def _attributes(self, scene: Scene) -> dict[str, str]:
         return {
             **_versions(),
             "variant": self.variant,
-            "scene_id": scene_id,
+            "scene_id": scene.id,
+            **{name: json.dumps(getattr(scene.camera, name.removeprefix("camera_"))) for name in _CAMERA},
+            FIELD_OF_VIEW: repr(scene.camera.horizontal_fov_deg),
             "method": self._method.name,
             "splat": _SPLAT,
             "frequencies_hz": json.dumps(self.frequencies_hz),

@@ -14,7 +14,7 @@ from disk.preset_files import PresetError
 from disk.quantities import Extent
 from scenegen.pose import wall_normal
 from scenegen.preset import HiddenObjectSettings, Preset
-from scenegen.scene import Wall
+from scenegen.sampling import walls_of
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
@@ -33,19 +33,8 @@ def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> 
 
     Raises
     ------
-    PresetError : a depth can be c / 2f or more, or 0 because the camera is not in front of the relay wall.
+    PresetError : a depth can be c / 2f or more.
     """
-    wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
-    normal = wall_normal(wall)
-    gap_m = (
-        float((camera_m - wall.location_m) @ normal) - preset.camera_spread.location_m * np.abs(normal).sum()
-    )
-    if gap_m <= 0:
-        spread = "" if preset.is_one_corner else ", moved by camera_spread.location_m,"
-        raise PresetError(
-            f"camera.location_m{spread} is {-gap_m:g} m behind the front of the relay wall, which the camera "
-            "must see: move the camera or turn the wall with relay_wall.rotation_deg"
-        )
     depth_m, frequencies_hz = largest_mirrored_depth_m(preset, meshes), preset.itof.frequencies_hz
     range_m = speed_of_light / (2 * gcd(*map(round, frequencies_hz)))
     if range_m <= depth_m * (1 + _ROUNDING):
@@ -75,7 +64,7 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
     as the camera itself, half the diagonal of its box is added. A mesh that is not in `meshes` counts as the
     cube of its longest side.
     """
-    wall, camera_m = _relay_wall(preset), np.array(preset.camera.location_m)
+    wall, camera_m = walls_of(preset)[0], np.array(preset.camera.location_m)
     normal = wall_normal(wall)
     mirrored_m = camera_m - 2 * ((camera_m - wall.location_m) @ normal) * normal  # (3,)
     settings = preset.hidden_object
@@ -87,7 +76,13 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
     corners = np.array(list(product(*ranges)))  # (8, 3)
     farthest_m = float(np.linalg.norm(corners - mirrored_m, axis=1).max())
     moved_m = 3**0.5 * preset.camera_spread.location_m
-    return farthest_m + moved_m + max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
+    return farthest_m + moved_m + largest_radius_m(preset, meshes)
+
+
+def largest_radius_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> float:
+    """Largest distance of a point of a hidden object from its centre, metres."""
+    settings = preset.hidden_object
+    return max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
 
 
 def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UnitMesh]) -> float:
@@ -101,11 +96,6 @@ def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shap
     if shape in ("cylinder", "cone"):
         return hypot(max(x, y), z) / 2
     return hypot(x, y, z) / 2
-
-
-def _relay_wall(preset: Preset) -> Wall:
-    wall = preset.relay_wall
-    return Wall(wall.size_m, wall.location_m, wall.rotation_deg)
 
 
 def _highest_hz(depth_m: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from disk.quantities import Vector
 from scenegen.mitsuba_description import hidden_names
 from scenegen.pose import blender_matrix
-from scenegen.scene import Scene
+from scenegen.scene import Scene, Wall
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh, unit_mesh
 
@@ -29,7 +29,8 @@ def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({}
     meshes : the mesh files that the scene's shapes name, by shape; see `scenegen.making.meshes.read_meshes`.
     """
     eyes = dict.fromkeys([scene.camera.location_m, scene.emitter.location_m])
-    region = np.vstack([_possible_region(scene, eye) for eye in eyes])  # (6 or 12, 4)
+    walls = (scene.relay_wall, scene.middle_wall)
+    region = np.vstack([possible_region(*walls, eye) for eye in eyes])  # (6 or 12, 4)
     for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
         mesh = meshes[part.shape] if part.shape in meshes else unit_mesh(part.shape)
         local = region @ blender_matrix(part.location_m, part.rotation_deg)
@@ -43,7 +44,7 @@ def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({}
     return None
 
 
-def _possible_region(scene: Scene, eye: Vector) -> NDArray[np.float64]:
+def possible_region(relay_wall: Wall, middle_wall: Wall, eye: Vector) -> NDArray[np.float64]:
     """(6, 4) half-spaces (n, d) of the points x with n·x + d > 0: in front of the relay wall, and hidden
     from an eye.
 
@@ -52,7 +53,7 @@ def _possible_region(scene: Scene, eye: Vector) -> NDArray[np.float64]:
     (c - z). Where c > 0, the point is hidden if z < 0 and this place is on the wall, of half size h:
     |cx - az| < h_x (c - z), |cy - bz| < h_y (c - z). Where c < 0, the signs of c, z and c - z change.
     """
-    walls = (scene.relay_wall, scene.middle_wall)
+    walls = (relay_wall, middle_wall)
     relay, middle = (blender_matrix(wall.location_m, wall.rotation_deg) for wall in walls)
     facing = relay[:3, 2]
     free = [*facing, -facing @ relay[:3, 3] - CLEARANCE_M]
@@ -61,5 +62,5 @@ def _possible_region(scene: Scene, eye: Vector) -> NDArray[np.float64]:
     side = np.sign(camera[2])
     depth = side * ([0.0, 0.0, 0.0, camera[2]] - frame[2])  # (4,) c - z
     across = side * (camera[2] * frame[:2] - np.outer(camera[:2], frame[2]))  # (2, 4)
-    reach = np.outer(scene.middle_wall.size_m, depth) / 2
+    reach = np.outer(middle_wall.size_m, depth) / 2
     return np.vstack([free, -side * frame[2], reach - across, reach + across])

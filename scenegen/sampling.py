@@ -54,16 +54,19 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
             roughness=wall.roughness[roughness_index] if wall.material == "rough" else None,
             darkening=_sample_darkening(preset, rng),
         ),
-        middle_wall=Wall(
-            size_m=preset.middle_wall.size_m,
-            location_m=preset.middle_wall.location_m,
-            rotation_deg=preset.middle_wall.rotation_deg,
-        ),
+        middle_wall=walls_of(preset)[1],
         camera=camera,
-        emitter=_projector(preset, camera),
+        emitter=projector_of(preset, camera),
         max_bounces=preset.transient.max_bounces,
         mirror_occluders=preset.ground_truth.mirror_occluders,
     )
+
+
+def walls_of(preset: Preset) -> tuple[Wall, Wall]:
+    """Relay wall and middle wall, which all scenes share, without their materials."""
+    walls = (preset.relay_wall, preset.middle_wall)
+    relay, middle = (Wall(wall.size_m, wall.location_m, wall.rotation_deg) for wall in walls)
+    return relay, middle
 
 
 def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], str | None]) -> Scene:
@@ -189,7 +192,7 @@ def _sample_camera(preset: Preset, rng: np.random.Generator) -> Camera:
     )
 
 
-def _projector(preset: Preset, camera: Camera) -> Emitter:
+def projector_of(preset: Preset, camera: Camera) -> Emitter:
     """The projector of a scene with this camera."""
     own = preset.projector
     return Emitter(

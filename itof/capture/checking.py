@@ -116,8 +116,8 @@ def check_capture(
     Parameters
     ----------
     inputs : raw frames with a `sidecar`; without, one measurement file as `import_capture` writes it.
-    horizontal_fov_deg : of the image, degrees. For a measurement file it is needed if there is no record of
-        an import beside it.
+    horizontal_fov_deg : of the image, degrees. A measurement file needs it if neither it nor a record of an
+        import beside it has one.
     picture : PNG file to write; it shows the first image that is refused, or else the first one. Only an
         earlier picture of a check is replaced.
 
@@ -190,6 +190,8 @@ def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
         record = None  # somebody has edited it
     if record is not None and fov_deg is None:
         fov_deg = record.facts.horizontal_fov_deg
+    if fov_deg is None and len(set(measured.fields_of_view_deg)) == 1:
+        fov_deg = measured.fields_of_view_deg[0]
     if fov_deg is None:
         raise CaptureError(
             f"{file} has no record of an import beside it, so its field of view is not known: give it by "

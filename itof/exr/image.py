@@ -26,6 +26,7 @@ from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
 from itof.light import exact_megahertz
 
+FIELD_OF_VIEW = "horizontal_fov_deg"  # attribute of images; an array of other measurement files
 PROJECTOR = "projector"  # attribute of measurements whose light is no flash at the camera
 _COPIES = 4  # of the channels, while phasors are made of them
 _MOST_NAMES = 20  # of channels in a sentence

@@ -15,7 +15,7 @@ import numpy as np
 from disk.byte_size import binary_size
 from disk.machine_memory import memory_shortage
 
-ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference")
+ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference", "horizontal_fov_deg")
 _KINDS: Final = {
     "phasors": "complex, Re + j Im",
     "reference": "complex, Re + j Im",

@@ -20,7 +20,7 @@ import numpy as np
 from disk.machine_memory import machine_bytes
 from itof.arrays import Numbers
 from itof.exr.header import ImageFileError
-from itof.exr.image import PROJECTOR, read_image
+from itof.exr.image import FIELD_OF_VIEW, PROJECTOR, read_image
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.mat_reading import is_hdf5, read_mat
 from itof.files.npz_reading import read_npz
@@ -115,7 +115,16 @@ def _read_phasors(path: Path) -> Contents:
         )
     others = [name for name in image.channels if not name.startswith(_OUR_CHANNELS)]
     arrays = {"phasors": phasors, "frequencies_hz": np.array(frequencies_hz)}
+    if FIELD_OF_VIEW in image.attributes:
+        arrays[FIELD_OF_VIEW] = _number(path, image.attributes[FIELD_OF_VIEW])
     return arrays, [*arrays, *others]
+
+
+def _number(path: Path, text: str) -> Numbers:
+    try:
+        return np.array(float(text))
+    except ValueError:
+        raise RefusedError(f"{path} has a field of view that is no number: {text[:20]!r}") from None
 
 
 def _read_channels(path: Path, wanted: tuple[str, ...]) -> Contents:

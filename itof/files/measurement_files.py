@@ -2,13 +2,14 @@
 
 ==================  ========================================================================================
 ``.exr``            one image with the channels of ``itof.exr``: ``itof.<f>MHz.Re`` and ``itof.<f>MHz.Im``
-``.npz``            arrays ``phasors``, ``frequencies_hz`` and optionally ``reference``
+``.npz``            arrays ``phasors``, ``frequencies_hz``; optionally ``reference``, ``horizontal_fov_deg``
 ``.h5``, ``.hdf5``  data sets with the same names
 ==================  ========================================================================================
 
 ``phasors`` is (H, W, F) or (N, H, W, F) complex, ``frequencies_hz`` is (F,) in Hz, ``reference`` is (H, W, F)
-complex. Reading a file never executes anything in it: pickled arrays, HDF5 filters from plugins and links to
-other files are refused. The file is read in a process of its own (`itof.files.measurement_process`).
+complex, ``horizontal_fov_deg`` is one angle or (N,). Reading a file never executes anything in it: pickled
+arrays, HDF5 filters from plugins and links to other files are refused. The file is read in a process of its
+own (`itof.files.measurement_process`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from typing import cast
 import numpy as np
 
 from disk import NightError, PathLike
+from disk.quantities import FREQUENCY, fov_problem
 from itof.arrays import Complex, Numbers, Phasors
+from itof.exr.image import FIELD_OF_VIEW
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.measurement_process import FileContents, read_contents
 from itof.light import megahertz
@@ -46,6 +49,7 @@ class Measurement:
     reference : (H, W, F) complex capture of the empty corner; None if the file has none.
     in_training_unit : whether the phasors have the unit of rendered scenes; cameras have other units.
     ignored : names of arrays in the file that are not used, such as ``ref`` for ``reference``.
+    fields_of_view_deg : N full horizontal fields of view; empty if the file does not have them.
     """
 
     path: Path
@@ -54,6 +58,7 @@ class Measurement:
     reference: Phasors | None
     in_training_unit: bool
     ignored: tuple[str, ...] = ()
+    fields_of_view_deg: tuple[float, ...] = ()
 
     def at(self, frequencies_hz: Sequence[float]) -> Measurement:
         """The measurement with these frequencies only, Hz, in this order.
@@ -70,8 +75,7 @@ class Measurement:
             if not np.isclose(found[index], f, rtol=_SAME_FREQUENCY, atol=0)
         ]
         if missing:
-            is_megahertz = found.max() < 1e4  # no camera modulates below 10 kHz
-            hint = "; frequencies_hz is in Hz, not MHz" if is_megahertz else ""
+            hint = "; frequencies_hz is in Hz, not MHz" if found.max() < FREQUENCY.least else ""
             raise MeasurementError(
                 f"{self.path} holds {megahertz(*found)}, the network also needs {megahertz(*missing)}{hint}"
             )
@@ -132,6 +136,9 @@ def measurement_of(path: Path, contents: FileContents) -> Measurement:
                 f"{path}: reference is 0 in {dark} pixels that have light in the measurement: capture the "
                 "empty corner with the same exposure"
             )
+    views_deg: tuple[float, ...] = ()
+    if FIELD_OF_VIEW in found:
+        views_deg = _fields_of_view(path, found[FIELD_OF_VIEW], len(phasors), reference is not None)
     return Measurement(
         path,
         phasors,
@@ -139,6 +146,7 @@ def measurement_of(path: Path, contents: FileContents) -> Measurement:
         reference,
         in_training_unit=path.suffix.lower() == ".exr",
         ignored=tuple(name for name in contents.names if name not in ARRAYS),
+        fields_of_view_deg=views_deg,
     )
 
 
@@ -151,6 +159,22 @@ def _frequencies(path: Path, values: Numbers) -> tuple[float, ...]:
     if not all(0 < f < np.inf for f in frequencies_hz) or len(set(frequencies_hz)) < len(frequencies_hz):
         raise MeasurementError(f"{path}: frequencies_hz must be different positive numbers: {frequencies_hz}")
     return frequencies_hz
+
+
+def _fields_of_view(path: Path, values: Numbers, count: int, has_reference: bool) -> tuple[float, ...]:
+    """The field of view of each of so many images."""
+    if values.dtype.kind not in "iuf" or values.shape not in ((), (1,), (count,)):
+        raise MeasurementError(
+            f"{path}: {FIELD_OF_VIEW} must be one number, or one for each of the {count} images, got "
+            f"{values.dtype} of shape {values.shape}"
+        )
+    views_deg = tuple(float(value) for value in np.broadcast_to(values, (count,)))
+    for view_deg in views_deg:
+        if problem := fov_problem(view_deg):
+            raise MeasurementError(f"{path}: {problem}")
+    if has_reference and len(set(views_deg)) > 1:
+        raise MeasurementError(f"{path}: a reference is that of one camera, but {FIELD_OF_VIEW} has several")
+    return views_deg
 
 
 def _phasors(

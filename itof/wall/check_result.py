@@ -103,6 +103,10 @@ class MeasurementCheck:
         """Whether predictions would be useless."""
         return any(finding.refused for finding in self.findings)
 
+    def doubts(self, image: str) -> bool:
+        """Whether a finding is about the image of this name, or about the reference."""
+        return any(not finding.images or image in finding.images for finding in self.findings)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """The findings, one sentence each, with the images that they are about if there are several."""
@@ -123,7 +127,7 @@ class MeasurementCheck:
             shift = f"{_range(shifts_m)} (mean along the rays)"
             told.append(f"the wall is found{some} {shift} from where {place} has it")
         if self.ignored:
-            read = "phasors, frequencies_hz and reference"
+            read = "phasors, frequencies_hz, reference and horizontal_fov_deg"
             told.append(f"ignored arrays: {', '.join(self.ignored)}; only {read} are read")
         return tuple(told)
 

@@ -14,8 +14,8 @@ class Finding:
     code : the kind of finding, for programs:
         ``no-wall`` (the light is not that of a wall), ``convention`` (sign, order, axes or frequency),
         ``no-hidden-light`` (too coarse, or of one depth image),
-        ``wall-moved``, ``phase-offsets``, ``scatter``, ``strange-pixels``, ``dead-pixels``,
-        ``even-amplitude``, ``saturated``,
+        ``wall-moved``, ``other-view`` (another field of view), ``phase-offsets``, ``scatter``,
+        ``strange-pixels``, ``dead-pixels``, ``even-amplitude``, ``saturated``,
         ``unexplained`` (light that a prediction does not explain).
     sentence : the same for a reader, without a capital letter and a full stop.
     refused : whether predictions from such a measurement are useless; otherwise they are worse.

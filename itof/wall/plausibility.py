@@ -107,7 +107,11 @@ def check_measurement(
     if spoilt := tuple(fit_defects(phasor, fit)):
         return Plausibility((*findings, *spoilt), fit)
     compared = reference is not None
-    place = _elsewhere(fit, compared, known_shift_m) if self_calibrated else _place(fit, compared)
+    place = _place(fit, compared)
+    if self_calibrated:
+        shift_m = fit.mean_shift_m - _SIGMAS * fit.mean_shift_std_m
+        expecting = "the reference" if compared else "the run"
+        place = elsewhere(shift_m, describe_shift(fit), expecting, known_shift_m)
     return Plausibility((*findings, *place, *_scatter(fit)), fit)
 
 
@@ -129,13 +133,17 @@ def check_reference(reference: Phasors, wall: ExpectedWall) -> tuple[Finding, ..
 
 
 def describe_shift(fit: RobustFit) -> str:
-    """How far the wall is from its expected place: ``5.0 cm farther away and tilted by 0.2 degrees``."""
-    shift_m = fit.distance_shift_m
+    """How far the wall is from its expected place."""
+    return shift_words(fit.distance_shift_m, fit.tilt_deg)
+
+
+def shift_words(shift_m: float, tilt_deg: float) -> str:
+    """A change of a wall's distance and angle as text: ``5.0 cm farther away and tilted by 0.2 degrees``."""
     parts = []
     if abs(shift_m) >= _SMALL_SHIFT_M:
         parts.append(f"{length(abs(shift_m))} {'farther away' if shift_m > 0 else 'nearer'}")
-    if fit.tilt_deg >= _SMALL_TILT_DEG:
-        parts.append(f"tilted by {fit.tilt_deg:.1f} degrees")
+    if tilt_deg >= _SMALL_TILT_DEG:
+        parts.append(f"tilted by {tilt_deg:.1f} degrees")
     return " and ".join(parts) or "where it should be"
 
 
@@ -216,13 +224,18 @@ def _place(fit: RobustFit, compared: bool) -> Iterator[Finding]:
     yield Finding(code, f"{what}: {mend}{capture}", misfit_rad >= MISFIT_REFUSED_RAD)
 
 
-def _elsewhere(fit: RobustFit, compared: bool, known_shift_m: float) -> Iterator[Finding]:
-    """A wall that is farther from its expected place than those that a self-calibrated run has seen."""
-    shift_m = fit.mean_shift_m - known_shift_m - _SIGMAS * fit.mean_shift_std_m
+def elsewhere(shift_m: float, words: str, place: str, known_shift_m: float) -> Iterator[Finding]:
+    """A wall that is farther from its expected place than those that a self-calibrated run has seen.
+
+    Parameters
+    ----------
+    shift_m : mean change of its distance along the rays, metres; `words` says how it moved (`shift_words`).
+    place : what expects it elsewhere.
+    """
+    shift_m -= known_shift_m
     if shift_m < CALIBRATED_NOTED_M:
         return
-    place = "the reference" if compared else "the run"
-    words = f"the wall is not where {place} has it, but {describe_shift(fit)}"
+    words = f"the wall is not where {place} has it, but {words}"
     if known_shift_m:
         words += f": the run has seen walls up to {length(known_shift_m)} from there (mean along the rays)"
     else:

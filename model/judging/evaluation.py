@@ -13,6 +13,7 @@ from disk.extras import need
 from model.data.corner import wall_view
 from model.data.shards import open_shards
 from model.judging.judging import Bench, judge_split, shown_scenes
+from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
     EvaluationError,
     refuse_many_corners,
@@ -48,6 +49,7 @@ def evaluate(
     mask_threshold: float | None = None,
     mask_from: MaskSource | None = None,
     scenes: Sequence[str] = (),
+    force: bool = False,
 ) -> Report:
     """Judge the best weights of `run` on a split and write the report folder `out`.
 
@@ -72,12 +74,13 @@ def evaluate(
     mask_threshold : a pixel shows the object if its amplitude is at least this; None for the run's own.
     mask_from : whether masks are taken from amplitude or depth; None for the run's own.
     scenes : ids of the scenes in the figures of several scenes; none for five that are spread by accuracy.
+    force : judge also scenes of a corner, or with a field of view, that the training has not seen.
 
     Raises
     ------
-    EvaluationError : the split has no scenes, the run was trained for other images, the threshold is not
-        positive or of no use, one of `scenes` is not in the split or not rendered, or `out` contains anything
-        but an earlier report.
+    EvaluationError : the split has no scenes, the run was trained for other images or, without `force`, for
+        another corner, the threshold is not positive or of no use, one of `scenes` is not in the split or not
+        rendered, or `out` contains anything but an earlier report.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     DatasetError : the dataset lacks one of `scenes`, or the description of a scene is missing or damaged.
     MissingPackageError : the extra ``report`` is not installed.
@@ -102,6 +105,8 @@ def evaluate(
     refuse_other_images(predictor.config, shards, run, dataset)
     refuse_many_corners(predictor.config, dataset)
     refuse_scenes_without_render(shards, dataset, scenes)
+    judged = shards.ids(shards.rows(split))
+    unlike = refuse_other_corner(predictor.config, dataset, judged, run, force=force)
     readout = predictor.config.readout
     if mask_from is not None:
         readout = replace(readout, mask_from=mask_from)
@@ -111,7 +116,7 @@ def evaluate(
     with whole_folder(out) as folder:
         clouds = folder / "pointclouds"
         clouds.mkdir()
-        report = judge_split(bench, split, clouds)
+        report = replace(judge_split(bench, split, clouds), unlike_training=unlike)
         shown = shown_scenes(bench, choose(report.ranked))
         figured = shown_scenes(bench, choose_for_figures(report.ranked, scenes))
         write_page(folder, report, shown, figured, history, predictor.config, _origin(bench, run))

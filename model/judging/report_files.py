@@ -70,6 +70,7 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         **origin,
         "split": report.split,
         "scene_count": len(report.scenes),
+        "warnings": report.warnings,
         "depth": "radial (along the ray), metres; background counts with depth 0",
         "mask_from": report.calibration.judged_readout.mask_from,
         "run_mask_from": report.calibration.run_readout.mask_from,
@@ -108,7 +109,7 @@ def summary_markdown(report: Report) -> str:
     head = (
         f"{report.split} split, {len(report.scenes)} scenes, radial depth; {report.calibration.judged_with}."
     )
-    lines = [head, ""]
+    lines = [head, "", *(f"**Warning: {html.escape(each, quote=False)}.**\n" for each in report.warnings)]
     lines += _markdown(SUMMARY_HEAD, summary_rows(report), words=2)
     for table in report.groups:
         if table.key in IN_SUMMARY:

@@ -56,6 +56,7 @@ class Report:
     calibration : averages for other mask thresholds, and the threshold of the evaluation.
     reliability : of the probabilities; None if the network predicts none.
     depth_reliability : of the expected errors of the depth; None if it expects none, or finds no object.
+    unlike_training : what the scenes have that the training had not (`model.judging.other_corner`).
     """
 
     split: Split
@@ -66,6 +67,18 @@ class Report:
     calibration: Calibration
     reliability: Reliability | None = None
     depth_reliability: DepthReliability | None = None
+    unlike_training: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know before any number, as sentences."""
+        ours_m, nothing_m = self.prediction.depth_mae_m.mean, self.no_object.depth_mae_m.mean
+        if ours_m < nothing_m:
+            return self.unlike_training
+        useless = (
+            f"the network is no better than predicting no object: its MAE is {100 * ours_m:.1f} cm, that "
+        )
+        return (*self.unlike_training, f"{useless}of no object {100 * nothing_m:.1f} cm")
 
     @property
     def ranked(self) -> list[SceneResult]:

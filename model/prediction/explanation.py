@@ -87,6 +87,7 @@ class Refiner(Protocol):
         prediction: DepthMap,
         expected_m: float | None,
         wall: ExpectedWall,
+        horizontal_fov_deg: float,
         title: str,
     ) -> RefinedImage:
         """The better depth map of an image (H, W, F).

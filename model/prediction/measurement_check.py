@@ -16,6 +16,7 @@ from itof.files.measurement_files import Measurement, MeasurementError, read_mea
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding
 from itof.wall.plausibility import check_measurement, check_reference
+from model.prediction.fields_of_view import predictors_of, view_findings, with_fields_of_view
 from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
@@ -28,8 +29,18 @@ class ImplausibleError(MeasurementError):
     """A measurement is not that of the run's relay wall; predictions from it would be useless."""
 
 
-def check_file(run: PathLike, measurement_file: PathLike, *, device: DeviceName = "auto") -> MeasurementCheck:
+def check_file(
+    run: PathLike,
+    measurement_file: PathLike,
+    *,
+    horizontal_fov_deg: float | None = None,
+    device: DeviceName = "auto",
+) -> MeasurementCheck:
     """Compare a measurement file with the relay wall of a run, without a prediction.
+
+    Parameters
+    ----------
+    horizontal_fov_deg : as in `predict_file`.
 
     Raises
     ------
@@ -37,14 +48,17 @@ def check_file(run: PathLike, measurement_file: PathLike, *, device: DeviceName 
     RunError, DeviceError : the run or the device cannot be used.
     """
     predictor = load(run, device)
-    measured = fitting_measurement(predictor, Path(measurement_file), Path(run))
+    measured = fitting_measurement(predictor, Path(measurement_file), Path(run), horizontal_fov_deg)
     return check_measured(predictor, measured, rescale=not measured.in_training_unit, thorough=True)
 
 
-def fitting_measurement(predictor: Predictor, file: Path, run: Path) -> Measurement:
-    """Read a measurement at the frequencies of the run; refuse another image size."""
+def fitting_measurement(
+    predictor: Predictor, file: Path, run: Path, horizontal_fov_deg: float | None = None
+) -> Measurement:
+    """Read a measurement at the frequencies of the run, with its field of view; refuse another image size."""
     config = predictor.config
     measured = read_measurement(file).at(config.inputs.frequencies_hz)
+    measured = with_fields_of_view(measured, horizontal_fov_deg)
     height, width = measured.phasors.shape[1:3]
     if (width, height) != (config.image_width, config.image_height):
         raise MeasurementError(
@@ -73,11 +87,12 @@ def check_measured(
     thorough : check every image, even if many of them or the reference are refused.
     """
     calibrated = predictor.config.inputs.self_calibrates
-    wall, names = predictor.wall, [f"{index:06d}" for index in range(len(measured.phasors))]
+    seeing = predictors_of(predictor, measured)
+    names = [f"{index:06d}" for index in range(len(measured.phasors))]
     walls: list[WallSummary | None] = [None] * len(names)
     found: list[tuple[Finding, str | None]] = []  # with the image's name; None for the reference
     if measured.reference is not None:
-        found += [(finding, None) for finding in check_reference(measured.reference, wall)]
+        found += [(finding, None) for finding in check_reference(measured.reference, seeing[0].wall)]
     useless, most = sum(finding.refused for finding, _ in found), MOST_REFUSED
     if useless and not thorough:
         most = 0  # all images would be compared with a wrong reference
@@ -86,12 +101,16 @@ def check_measured(
             if useless > most and not thorough:
                 break
             seen = check_measurement(
-                *(measured.phasors[index], wall, measured.reference),
+                *(measured.phasors[index], seeing[index].wall, measured.reference),
                 self_calibrated=calibrated,
                 known_shift_m=predictor.config.inputs.largest_shift_m,
             )
             walls[index] = None if seen.wall is None else WallSummary.of_fit(seen.wall)
-            findings = [*seen.findings, *([] if rescale else _amplitude_findings(predictor, measured, index))]
+            findings = [
+                *view_findings(predictor.config, measured.fields_of_view_deg[index : index + 1]),
+                *seen.findings,
+                *([] if rescale else _amplitude_findings(predictor, measured, index)),
+            ]
             found += [(finding, name) for finding in findings]
             useless += any(finding.refused for finding in findings)
             bar.update()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +14,6 @@ import numpy as np
 from disk import NightError, PathLike, whole_folder, write_text
 from disk.own_files import hashes_of, refuse_other_files
 from disk.plain_file import MOST_LIST_BYTES, read_plain
-from disk.quantities import fov_problem
 from itof import DepthMap
 from itof.arrays import Phasors
 from itof.files.measurement_files import Measurement, MeasurementError
@@ -21,102 +21,28 @@ from itof.pictures.figures import prediction_figure, write_figure
 from itof.pictures.pointclouds import object_points, write_point_cloud
 from itof.pictures.wall_figure import wall_figure
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
-from itof.wall.empty_corner import CapturedPlane
 from itof.wall.wall_fit import RobustFit
 from itof.wall.wall_search import locate_wall
 from model.prediction.explained_light import ExplainedLight
-from model.prediction.explanation import Explanation, RefinedImage, Refiner
+from model.prediction.explanation import RefinedImage, Refiner
+from model.prediction.fields_of_view import predictors_of
 from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
+from model.prediction.predicted_image import FilePrediction, PredictedImage
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
-# 5 no uncertainty of the wall, no `light`; 6 no `hideable` light; 7 no `explanation`; 8 one solid.
-PREDICTION_SCHEMA: Final = 9
+# 5 no uncertainty of the wall, no `light`; 6 no `hideable` light; 7 no `explanation`; 8 one solid; 9 one
+# field of view for all images, and errors that were expected in spite of findings.
+PREDICTION_SCHEMA: Final = 10
 _KNOWN_SCHEMAS: Final = tuple(range(1, PREDICTION_SCHEMA + 1))  # of earlier predictions, which are replaced
-_SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 RECORD: Final = "prediction.json"
-_LEAST_TOLD_M: Final = 1e-3
 
 
 class PredictionError(NightError):
     """The output folder contains other files than those of an earlier prediction."""
-
-
-@dataclass(frozen=True)
-class PredictedImage:
-    """Files of one predicted image, and what it shows.
-
-    Attributes
-    ----------
-    name : name of its files, without ending.
-    object_pixels : number of pixels that show the hidden object.
-    median_radial_depth_m : median radial depth of these pixels, metres; None if there are none.
-    files : names of its files in the output folder.
-    wall : the relay wall as the measurement shows it; None if it shows none.
-    expected_mae_m : MAE over all pixels that the network expects, metres; None without probabilities.
-    expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
-        if it expects none, or without an object.
-    light : hidden light, and how much of it the depth map explains; None without residual channels.
-    explanation : the solids that refinement has found; None without refinement, or where there is none.
-    """
-
-    name: str
-    object_pixels: int
-    median_radial_depth_m: float | None
-    files: tuple[str, ...]
-    wall: WallSummary | None
-    expected_mae_m: float | None = None
-    expected_depth_error_m: float | None = None
-    light: ExplainedLight | None = None
-    explanation: Explanation | None = None
-
-    @property
-    def sentence(self) -> str:
-        """The outcome as text."""
-        own = "" if self.expected_mae_m is None else f"; expected MAE {_centimetres(self.expected_mae_m)}"
-        own += "" if self.light is None else f"; {self.light.words}"
-        own += "" if self.explanation is None else f"; {self.explanation.words}"
-        if self.median_radial_depth_m is None:
-            return f"image {self.name}: no pixel shows an object, so it has no point cloud{own}"
-        return (
-            f"image {self.name}: {self.object_pixels} pixels show an object, at a median radial depth of "
-            f"{self.median_radial_depth_m:.2f} m{self._depth_error}{own}"
-        )
-
-    @property
-    def _depth_error(self) -> str:
-        error_m = self.expected_depth_error_m
-        return "" if error_m is None else f"; expected error of the depth {_centimetres(error_m)}"
-
-
-def _centimetres(error_m: float) -> str:
-    """An error as text; no network knows that it makes none."""
-    return f"{100 * error_m:.1f} cm" if error_m >= _LEAST_TOLD_M else f"below {100 * _LEAST_TOLD_M:g} cm"
-
-
-@dataclass(frozen=True)
-class FilePrediction:
-    """Outcome of `predict_file`.
-
-    Attributes
-    ----------
-    images : the predicted images, in the order of the file.
-    check : how the measurement compares with the relay wall of the run.
-    wall : of the reference; None without one, or if the network does not need to know it.
-    """
-
-    images: tuple[PredictedImage, ...]
-    check: MeasurementCheck
-    wall: CapturedPlane | None = None
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The outcome as text: the reference, the wall, and what each image shows."""
-        wall = () if self.wall is None else (self.wall.sentence,)
-        return (*self.check.sentences, *wall, *(image.sentence for image in self.images))
 
 
 def predict_file(
@@ -148,7 +74,8 @@ def predict_file(
     ----------
     run : run folder of the trained network, or the name of one that comes with the program.
     rescale : as in `Predictor.predict`; None rescales unless the file is in the unit of rendered scenes.
-    horizontal_fov_deg : full field of view of the camera, 1 to 170 degrees; None for that of the training.
+    horizontal_fov_deg : full field of view of the camera, 1 to 170 degrees. None takes that of the file, of
+        its import or of the dataset that rendered it, and without any that of the training.
     force : predict also from a measurement that is not that of the run's relay wall.
     refiner : finds the solid behind each depth map (`model.refine`).
 
@@ -165,16 +92,14 @@ def predict_file(
     run, measurement_file, out = run_folder(run), Path(measurement_file), Path(out).resolve()
     _refuse_other_contents(out)
     predictor = load(run, device)
-    if horizontal_fov_deg is not None:
-        _refuse_other_view(predictor, horizontal_fov_deg, run, force)
-        predictor = predictor.at(predictor.config.geometry.with_fov(horizontal_fov_deg))
-    measured = fitting_measurement(predictor, measurement_file, run)
+    measured = fitting_measurement(predictor, measurement_file, run, horizontal_fov_deg)
     chosen = not measured.in_training_unit if rescale is None else rescale
     check = check_measured(predictor, measured, rescale=chosen, thorough=force, progress=progress)
     _refuse_implausible(check, measured, run, force)
-    wall = None if measured.reference is None else predictor.found_wall(measured.reference)
+    seeing = predictors_of(predictor, measured)
+    wall = None if measured.reference is None else seeing[0].found_wall(measured.reference)
     with whole_folder(out) as folder:
-        images = _predict_all(predictor, measured, check, chosen, folder, progress, refiner)
+        images = _predict_all(seeing, measured, check, chosen, folder, progress, refiner)
         doubts = [
             (finding, image.name)
             for image in images
@@ -182,13 +107,13 @@ def predict_file(
             for finding in image.light.findings(shows_object=image.object_pixels > 0)
         ]
         check = replace(check, findings=(*check.findings, *joined(doubts)))
+        images = tuple(image.after(check) for image in images)
         _refuse_implausible(check, measured, run, force)
         record: dict[str, Any] = {
             "schema_version": PREDICTION_SCHEMA,
             "run": str(run.resolve()),
             "measurement": str(measurement_file.resolve()),
             "rescaled": chosen,
-            "horizontal_fov_deg": predictor.config.geometry.horizontal_fov_deg,
             "reference": "computed" if measured.reference is None else "measured",
             "reference_wall": None if wall is None else wall.as_data(),
             "ignored": measured.ignored,
@@ -210,24 +135,8 @@ def _refuse_implausible(check: MeasurementCheck, measured: Measurement, run: Pat
         )
 
 
-def _refuse_other_view(predictor: Predictor, horizontal_fov_deg: float, run: Path, force: bool) -> None:
-    """Refuse a camera that cannot be, and one whose field of view the training has not seen."""
-    problem = fov_problem(horizontal_fov_deg)
-    if problem:
-        raise MeasurementError(problem)
-    least_deg, most_deg = predictor.config.trained_views_deg
-    if least_deg - _SAME_DEG <= horizontal_fov_deg <= most_deg + _SAME_DEG or force:
-        return
-    seen = f"{least_deg:.4g}" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g}"
-    raise ImplausibleError(
-        f"{run} was trained for a field of view of {seen} degrees, not for {horizontal_fov_deg:.4g}: cut it "
-        "out of the image (capture import --fov), or use another network; with --force (force=True) it "
-        "predicts all the same"
-    )
-
-
 def _predict_all(
-    predictor: Predictor,
+    seeing: Sequence[Predictor],
     measured: Measurement,
     check: MeasurementCheck,
     rescale: bool,
@@ -235,8 +144,8 @@ def _predict_all(
     progress: bool,
     refiner: Refiner | None,
 ) -> tuple[PredictedImage, ...]:
-    """Predict the images batch by batch and write their files."""
-    images = []
+    """Predict the images batch by batch, each with its field of view, and write their files."""
+    images, views_deg = [], [each.config.geometry.horizontal_fov_deg for each in seeing]
     attributes = {
         "generator": f"night-eval predict {version('night-nlos')}",
         "measurement": measured.path.name,
@@ -245,12 +154,15 @@ def _predict_all(
     with showing_progress(count, "image", "predict", show=progress) as bar:
         for start in range(0, count, BATCH):
             batch = measured.phasors[start : start + BATCH]  # (n, H, W, F)
+            several = views_deg[start : start + BATCH] if len(set(views_deg)) > 1 else []
             try:
-                predictions = predictor.predict(batch, measured.reference, rescale=rescale)
+                predictions = seeing[0].predict(
+                    batch, measured.reference, rescale=rescale, fields_of_view_deg=several
+                )
             except InputError as error:
                 raise MeasurementError(f"{measured.path}, batch from image {start}: {error}") from None
             for index in range(len(batch)):
-                name = f"{start + index:06d}"
+                predictor, name = seeing[start + index], f"{start + index:06d}"
                 about = attributes | {"image": name}
                 found, own_m = _refined(predictor, predictions[index], batch[index], measured, refiner, name)
                 one = found.depth_map
@@ -282,7 +194,8 @@ def _refined(
     wall = None if refiner is None else predictor.wall_of(measured.reference)
     if refiner is None or wall is None:
         return RefinedImage(prediction, None, None), expected_m
-    found = refiner(phasor, prediction, expected_m, wall, f"{measured.path.name}, image {name}")
+    fov_deg, title = predictor.config.geometry.horizontal_fov_deg, f"{measured.path.name}, image {name}"
+    found = refiner(phasor, prediction, expected_m, wall, fov_deg, title)
     if found.explanation is not None and found.explanation.accepted:
         expected_m = found.explanation.expected_mae_m
     return found, expected_m
@@ -298,11 +211,11 @@ def _write(
     attributes: dict[str, str],
 ) -> PredictedImage:
     """Write depth map, picture and point cloud of one (H, W) prediction."""
-    files = [f"{name}.exr", f"{name}.png"]
+    files, fov_deg = [f"{name}.exr", f"{name}.png"], predictor.config.geometry.horizontal_fov_deg
     one.write(folder / files[0], attributes)
     title, words = f"{attributes['measurement']}, image {name}", "" if light is None else light.words
     write_figure(folder / files[1], prediction_figure(title, one, words))
-    points_m = object_points(one.radial_depth_m, one.mask, predictor.config.geometry.horizontal_fov_deg)
+    points_m = object_points(one.radial_depth_m, one.mask, fov_deg)
     median_m = error_m = None
     if len(points_m):
         if one.depth_error_m is not None:
@@ -310,7 +223,7 @@ def _write(
         files.append(f"{name}.ply")
         write_point_cloud(folder / files[2], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
-    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, None, error_m, light)
+    return PredictedImage(name, len(points_m), median_m, tuple(files), wall, fov_deg, None, error_m, light)
 
 
 def _with_wall(

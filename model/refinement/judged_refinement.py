@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +15,7 @@ from disk import PathLike, is_partial, whole_file, write_text
 from disk.inner_paths import inside
 from disk.plain_file import read_text
 from model.data.shards import open_shards
+from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
     EvaluationError,
     nothing_rendered,
@@ -32,6 +34,8 @@ from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import Dataset, Preset, Split
 
+_log = logging.getLogger(__name__)
+
 RECIPE_FILE, RESULT_FILE = "recipe.json", "refined.json"
 TABLE_FILE, FIGURE_FILE = "refined.csv", "refined.png"
 _OF_FOUND = ("misfit", "noise", "difference_m")  # columns of the table
@@ -47,6 +51,7 @@ def refine_split(
     unknown: Sequence[Unknown] = (),
     largest_misfit: float = LARGEST_MISFIT,
     workers: int = 1,
+    force: bool = False,
     device: DeviceName = "auto",
     progress: bool = True,
 ) -> RefinementReport:
@@ -63,6 +68,7 @@ def refine_split(
     unknown : what of the object is fitted, too: its extents (from those of `objects`), its reflectance.
     largest_misfit : what is accepted; see `model.refinement.refining.Refined.is_right`.
     workers : number of processes; the results do not depend on it.
+    force : as in `model.evaluate`.
 
     Raises
     ------
@@ -85,6 +91,8 @@ def refine_split(
     rows = shards.rows(split)
     if not rows:
         raise nothing_rendered(dataset, split)
+    for sentence in refuse_other_corner(predictor.config, dataset, shards.ids(rows), run, force=force):
+        _log.warning("warning: %s", sentence)
     recipe = Recipe(
         predictor.config.run_id,
         predictor.weights_sha256,

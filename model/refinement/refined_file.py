@@ -15,7 +15,8 @@ from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
 from model.device import one_thread
 from model.prediction.explanation import RefinedImage
-from model.prediction.prediction_files import FilePrediction, predict_file
+from model.prediction.predicted_image import FilePrediction
+from model.prediction.prediction_files import predict_file
 from model.prediction.predictor import load
 from model.refinement.explaining import explained
 from model.refinement.family import Family, family_of, refuse_misfit
@@ -68,10 +69,8 @@ def refine(
     refuse_misfit(largest_misfit)
     fitted = (UNKNOWNS if objects is None else ()) if unknown is None else unknown
     family = family_of(objects or Preset(), fitted)
-    predictor = load(run, device)
-    view_deg = horizontal_fov_deg or predictor.config.geometry.horizontal_fov_deg
-    light = CornerLight(predictor.config.inputs.frequencies_hz, device)
-    refiner = _FileRefiner(room, view_deg, light, family, largest_misfit)
+    light = CornerLight(load(run, device).config.inputs.frequencies_hz, device)
+    refiner = _FileRefiner(room, light, family, largest_misfit)
     return predict_file(
         *(run, measurement_file, out),
         rescale=rescale,
@@ -88,7 +87,6 @@ class _FileRefiner:
     """A `model.prediction.explanation.Refiner`."""
 
     room: Preset | None
-    horizontal_fov_deg: float
     light: CornerLight
     family: Family
     largest_misfit: float
@@ -99,10 +97,11 @@ class _FileRefiner:
         prediction: DepthMap,
         expected_m: float | None,
         wall: ExpectedWall,
+        horizontal_fov_deg: float,
         title: str,
     ) -> RefinedImage:
         """The better depth map of an image (H, W, F)."""
-        corner = corner_of(self.room, wall, self.horizontal_fov_deg)
+        corner = corner_of(self.room, wall, horizontal_fov_deg)
         placed = with_camera_at(corner, np.asarray(wall.plane_per_m))
         refuse_unseen_wall(placed, wall.rays.reshape(-1, 3), self.light)
         seed = zlib.crc32(np.ascontiguousarray(phasor).tobytes())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,22 @@ from render.farm.plan import Plan
 from render.farm.run_log import LOG_FILE
 from render.settings import RenderSettings
 from scenegen import Dataset
+
+_NUMBER = re.compile(r"[0-9]+(\.[0-9]+)?(e-?[0-9]+)?")
+_NAMED = 10  # of scenes that share a reason
+
+
+def failure_lines(failures: Mapping[str, str]) -> list[str]:
+    """Reasons by scene as lines of text: a reason that scenes share, but for its numbers, is said once."""
+    alike: dict[str, list[str]] = {}
+    for scene_id, reason in sorted(failures.items()):
+        alike.setdefault(_NUMBER.sub("#", reason), []).append(scene_id)
+    lines = []
+    for scenes in alike.values():
+        first = f"scene {scenes[0]}: {failures[scenes[0]]}"
+        others = f" ({len(scenes)} scenes: {', '.join(scenes[:_NAMED])}{', ...' * (len(scenes) > _NAMED)})"
+        lines.append(f"failed: {first}{others if len(scenes) > 1 else ''}")
+    return lines
 
 
 @dataclass(frozen=True)
@@ -64,7 +82,7 @@ class RunResult:
 
     def complaints(self, renders: Path) -> list[str]:
         """Failures and what to do about them, as lines of text; an empty list without failures."""
-        lines = [f"failed: scene {scene_id}: {reason}" for scene_id, reason in sorted(self.failures.items())]
+        lines = failure_lines(self.failures)
         if self.failures:
             lines.append(
                 f"{len(self.failures)} scenes failed; logs are in {renders}/<id>/failure.log, and "

@@ -16,11 +16,12 @@ from disk.byte_size import size
 from processes.progress import duration
 from render.farm.claims import running
 from render.farm.inventory import Inventory, State
+from render.farm.run_result import failure_lines
 from render.settings import RenderSettings
 from scenegen import RECORD_FILE, Dataset, read_bad_render, read_failure, read_record
 
 _LATEST = 200  # scenes that the pace is computed from
-_LISTED = 10  # failures that are named
+_LISTED = 10  # reasons of failures that are named, and defects
 _PAUSE_S = 60.0  # a longer pause between scenes separates two runs
 
 
@@ -101,10 +102,10 @@ class Status:
         if self.seconds_left is not None:
             pace = f"pace: {self.scenes_per_hour:.0f} scenes an hour"
             lines.append(f"{pace}; about {duration(self.seconds_left)} left")
-        listed = sorted(self.failures.items())[:_LISTED]
-        lines += [f"failed: {scene_id}: {reason}" for scene_id, reason in listed]
-        if len(self.failures) > len(listed):
-            lines.append(f"failed: and {len(self.failures) - len(listed)} more")
+        failed = failure_lines(self.failures)
+        lines += failed[:_LISTED]
+        if len(failed) > _LISTED:
+            lines.append(f"failed: for {len(failed) - _LISTED} more reasons")
         lines += [
             f"bad again: {scene_id}: it has the bytes that night-render verify found bad before"
             for scene_id in sorted(self.defects)[:_LISTED]

@@ -71,6 +71,7 @@ ROUGHNESS: Final = ArrayKind(
     "alpha of the relay wall's material roughplastic, in (0, 1]; "
     f"{NO_ROUGHNESS:g} for a diffuse wall, which has none",
 )
+VIEWS: Final = ArrayKind(np.float64, "N", "degrees", "full horizontal field of view of the camera")
 TEXT: Final = "text"  # their unit
 TEXTS: Final = {
     "scene_id": "id of the scene in its dataset, six or more digits",

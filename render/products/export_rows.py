@@ -27,6 +27,7 @@ from render.products.export_format import (
     SPLIT_ROWS,
     TEXT,
     TEXTS,
+    VIEWS,
     ArrayKind,
 )
 from render.products.export_scenes import ExportedScene
@@ -46,7 +47,7 @@ class Rows:
     file : the file, which is open.
     stop_if_needed : raises an `OSError` of writing, and handles signals (`hdf5_file`).
     most : number of rows that there may be.
-    entries, roughness : of the scenes that were added.
+    entries, roughness, views_deg : of the scenes that were added.
     shapes : shape of each array that has a row for each scene, by name, after `finish`.
     """
 
@@ -55,6 +56,7 @@ class Rows:
     most: int
     entries: list[SceneEntry] = field(default_factory=list)
     roughness: list[float] = field(default_factory=list)
+    views_deg: list[float] = field(default_factory=list)
     shapes: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
@@ -77,6 +79,7 @@ class Rows:
         self.file["scene"][row], self.file["render"][row] = scene.scene_text, scene.render_text
         self.entries.append(entry)
         self.roughness.append(scene.scene.relay_wall.roughness or NO_ROUGHNESS)
+        self.views_deg.append(scene.scene.camera.horizontal_fov_deg)
         self.stop_if_needed()
 
     def finish(
@@ -95,6 +98,7 @@ class Rows:
         self._write_texts("object_class", [entry.object_class for entry in self.entries])
         self._write_texts("split", [entry.split for entry in self.entries])
         self._write("roughness", self.roughness, ROUGHNESS)
+        self._write("horizontal_fov_deg", self.views_deg, VIEWS)
         self.shapes = {name: array.shape for name, array in self.file.items()}
         for split in get_args(Split):
             self._write(f"splits/{split}", self._rows_of(split), SPLIT_ROWS)

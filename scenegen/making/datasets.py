@@ -10,8 +10,8 @@ from typing import Any
 from disk.path_like import PathLike
 from disk.preset_files import read_settings
 from processes.progress import showing_progress
+from scenegen.corner_check import refuse_impossible_corner
 from scenegen.dataset import Dataset
-from scenegen.depth_range import refuse_wrapping_depths
 from scenegen.making.generation_pool import generate_in_processes
 from scenegen.making.meshes import read_meshes
 from scenegen.preset import Preset, preset_from_dict
@@ -22,6 +22,7 @@ def make_dataset(
     preset: Preset | PathLike,
     *,
     mesh_folder: PathLike | None = None,
+    replace: bool = False,
     workers: int = 1,
     progress: bool = True,
 ) -> Dataset:
@@ -37,6 +38,7 @@ def make_dataset(
     preset : the settings, or the name or file of a preset as `scenegen.load_preset` takes it.
     mesh_folder : folder of the files that the shapes ``mesh:FILE`` name; None for the folder of the preset's
         file, or the working directory where `preset` is no file.
+    replace : whether a dataset of another preset in `out` is replaced; its renders are deleted.
     workers : number of processes, 350 MB each; the dataset is the same.
     progress : whether to show the progress.
 
@@ -50,7 +52,7 @@ def make_dataset(
     """
     settings, folder = _read(preset)
     meshes = read_meshes(settings, folder if mesh_folder is None else Path(mesh_folder))
-    refuse_wrapping_depths(settings, meshes)
+    refuse_impossible_corner(settings, meshes)
     with showing_progress(settings.dataset.count, "scene", "scenes", show=progress) as bar:
         return generate_in_processes(
             Path(out),
@@ -59,6 +61,7 @@ def make_dataset(
             bar.update,
             workers=workers,
             meshes={shape: mesh.sha256 for shape, mesh in meshes.items()},
+            replacing=replace,
         )
 
 

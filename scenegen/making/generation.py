@@ -13,6 +13,7 @@ from disk.plain_file import read_plain
 from disk.whole_writing import whole_folder
 from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, scene_entry, write_index
 from scenegen.geometry_check import refusal
+from scenegen.making.replacing import losses, remove_renders
 from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
 from scenegen.preset import Preset
 from scenegen.sampling import sample_valid_scene
@@ -44,6 +45,7 @@ def generate(
     on_scene: Callable[[], None],
     *,
     meshes: Mapping[str, str] = NO_MESHES,
+    replacing: bool = False,
 ) -> Dataset:
     """Make all scenes of `preset` in the folder `root`, in this process.
 
@@ -59,6 +61,7 @@ def generate(
     maker : makes the files; it knows the preset's meshes.
     on_scene : called after every scene.
     meshes : SHA-256 of the mesh files that the preset's shapes name, by shape.
+    replacing : whether a dataset of another preset in the folder is replaced; its renders are removed.
 
     Raises
     ------
@@ -66,14 +69,16 @@ def generate(
     SamplingError : the preset's ranges leave an object no room.
     """
     with alone_in(root):
-        prepare(root, preset, meshes)
+        prepare(root, preset, meshes, replacing=replacing)
         scenes = (write_scene(root, preset, index, maker) for index in range(preset.dataset.count))
         return finish(root, preset, meshes, reported(scenes, on_scene), maker.version)
 
 
-def prepare(root: Path, preset: Preset, meshes: Mapping[str, str]) -> None:
-    """Check the folder; remove the scenes that an interrupted run of more scenes has left."""
-    check_target(root, preset, meshes)
+def prepare(root: Path, preset: Preset, meshes: Mapping[str, str], *, replacing: bool) -> None:
+    """Check the folder; remove scenes beyond those of the preset, and the renders of a dataset to replace."""
+    check_target(root, preset, meshes, replacing=replacing)
+    if replacing and losses(root, preset, meshes):
+        remove_renders(root)
     for entry in surplus(root, preset.dataset.count):
         shutil.rmtree(entry)
 

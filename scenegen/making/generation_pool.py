@@ -31,6 +31,7 @@ def generate_in_processes(
     *,
     workers: int,
     meshes: Mapping[str, str] = NO_MESHES,
+    replacing: bool = False,
 ) -> Dataset:
     """As `generate`, in several processes; the bytes are the same.
 
@@ -42,7 +43,7 @@ def generate_in_processes(
     make_maker : called once in every worker; must be picklable.
     on_scene : called in this process for every scene.
     workers : number of processes.
-    meshes : SHA-256 of the mesh files that the preset's shapes name, by shape.
+    meshes, replacing : as in `generate`.
 
     Raises
     ------
@@ -54,7 +55,7 @@ def generate_in_processes(
     workers = min(workers, len(chunks))
     try:
         with alone_in(root):
-            prepare(root, preset, meshes)
+            prepare(root, preset, meshes, replacing=replacing)
             with worker_pool(workers, _start_worker, root, preset, make_maker) as pool:
                 version = submit(pool, _version_in_worker)
                 made: Iterator[SceneEntry] = chain.from_iterable(

@@ -66,12 +66,15 @@ def _locked(folder: int) -> bool:
         return True
 
 
-def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES) -> None:
+def check_target(
+    root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES, *, replacing: bool = False
+) -> None:
     """Refuse a folder that has anything but scenes of `preset`, in the same number or fewer.
 
     Parameters
     ----------
     meshes : SHA-256 of the mesh files that the preset's shapes name, by shape.
+    replacing : whether the dataset may be of another preset, whose scenes are replaced.
 
     Raises
     ------
@@ -83,7 +86,7 @@ def check_target(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESH
     if root.exists() and not root.is_dir():
         raise foreign
     if (root / "dataset.json").exists():
-        count = _check_extends(root, preset, meshes)
+        count = _check_extends(root, preset, meshes, replacing=replacing)
         refused = [entry for entry in surplus(root, count) if not _is_ours(entry, preset)]
     elif root.exists() and any(e.name != "scenes" and not is_partial(e.name) for e in root.iterdir()):
         raise foreign
@@ -136,7 +139,7 @@ def _files_of_others(entry: Path) -> Iterator[Path]:
                 yield Path(file.path)
 
 
-def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str]) -> int:
+def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str], *, replacing: bool) -> int:
     """Number of scenes of the dataset in `root`; `preset` must ask for the same scenes, or for more."""
     dataset = open_dataset(root)
     if dataset.is_measured:
@@ -146,9 +149,12 @@ def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str]) -> int
         )
     index = dataset.index
     count = index.preset.dataset.count
+    if replacing:
+        return max(count, preset.dataset.count)
     if replace(preset, dataset=replace(preset.dataset, count=count)) != index.preset:
         raise DatasetError(
-            f"{root} already holds a dataset of another preset or seed: choose an empty folder"
+            f"{root} already holds a dataset of another preset or seed: choose an empty folder, or replace "
+            "it with --replace (replace=True)"
         )
     if preset.dataset.count < count:
         raise DatasetError(

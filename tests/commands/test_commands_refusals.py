@@ -269,6 +269,8 @@ def test_a_preset_that_no_program_can_read_is_refused(tmp_path, text, words):
 
 
 def test_a_preset_that_leaves_no_room_is_refused(tmp_path):
-    (tmp_path / "my.toml").write_text("[hidden_object]\nlocation_m = { x = [0.1, 0.1] }\n")
+    size = "cube = [2.5, 2.5, 2.5]"  # reaches through the relay wall
+    table = f'shapes = ["cube"]\ncomposite_fraction = 0\nsize_m = {{ {size} }}\n'
+    (tmp_path / "my.toml").write_text(f"[hidden_object]\n{table}")
     message = refusal("night-gen", "scenes", tmp_path / "out", "--preset", tmp_path / "my.toml")
     assert "none of 1000 draws fits the room" in message

@@ -287,6 +287,9 @@ def test_a_measurement_of_another_program_needs_its_field_of_view(frames):
     write_npz(file, phasors=PHASOR)
     done = night_here("night-eval", "capture", "check", file, "--fov", 60, "--json")
     assert json.loads(done.stdout)["findings"] == []
+    write_npz(file, phasors=PHASOR, horizontal_fov_deg=60.0)
+    done = night_here("night-eval", "capture", "check", file, "--json")
+    assert json.loads(done.stdout)["findings"] == []
     assert "raw frames and their options need --sidecar" in refusal(
         "night-eval", "capture", "check", file, "--fov", 60, "--bin", 2
     )
@@ -295,13 +298,13 @@ def test_a_measurement_of_another_program_needs_its_field_of_view(frames):
 def test_frequencies_in_megahertz_are_refused(tmp_path):
     file = write_npz(tmp_path / "m.npz", phasors=PHASOR, frequencies_hz=np.array([20.0, 50.0, 60.0]))
     said = refusal("night-eval", "capture", "check", file, "--fov", 60)
-    assert said.endswith("frequencies_hz must be 10000 to 1e+10 Hz (got 20): give Hz, not MHz, like 20e6")
+    assert said.endswith("frequencies_hz must be 1e+06 to 1e+10 Hz (got 20): give Hz, as 20e6 for 20 MHz")
 
 
 def test_frequencies_that_no_camera_has_are_refused_and_not_searched(tmp_path):
     file = write_npz(tmp_path / "m.npz", phasors=PHASOR, frequencies_hz=np.array([20e6, 50e6, 1e18]))
     said = refusal("night-eval", "capture", "check", file, "--fov", 60)
-    assert said.endswith("frequencies_hz must be 10000 to 1e+10 Hz (got 1e+18)")
+    assert said.endswith("frequencies_hz must be 1e+06 to 1e+10 Hz (got 1e+18)")
     many = np.arange(1, 18) * 1e6
     file = write_npz(tmp_path / "m.npz", phasors=np.ones((26, 34, 17), complex), frequencies_hz=many)
     assert "has 17 frequencies, and 16 are the most" in refusal(

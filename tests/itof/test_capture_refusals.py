@@ -109,10 +109,10 @@ def test_negative_amplitudes_and_real_phasors_are_refused(tmp_path):
 KEYS = {
     "unknown key stepcount": {"stepcount": 4},
     "key horizontal_fov_deg is missing": {"horizontal_fov_deg": None},
-    "frequencies_hz.0 must be 10000 to 1e+10 Hz (got 20): give Hz, not MHz, like 20e6": {
+    "frequencies_hz.0 must be 1e+06 to 1e+10 Hz (got 20): give Hz, as 20e6 for 20 MHz": {
         "frequencies_hz": [20.0, 50.0, 60.0]
     },
-    "frequencies_hz.2 must be 10000 to 1e+10 Hz (got 60)": {"frequencies_hz": [20e6, 50e6, 60.0]},
+    "frequencies_hz.2 must be 1e+06 to 1e+10 Hz (got 60)": {"frequencies_hz": [20e6, 50e6, 60.0]},
     "frequencies_hz names a frequency twice": {"frequencies_hz": [20e6, 20e6]},
     "steps_rad.1 must be -12.5664 to 12.5664 radians (got 90): give radians, not degrees": {
         "step_count": None,

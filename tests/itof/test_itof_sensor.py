@@ -314,7 +314,7 @@ def test_sensor_files_with_mistakes_are_refused_by_their_key(tmp_path):
         ("f_number = 1e-300", "f_number must be 0.1 to 1000 (got 1e-300)"),
         (
             "contrast = [[40, 0.5]]",
-            "contrast.0.0 must be 10000 to 1e+10 Hz (got 40): give Hz, not MHz, like 40e6",
+            "contrast.0.0 must be 1e+06 to 1e+10 Hz (got 40): give Hz, as 20e6 for 20 MHz",
         ),
         ("wavelength_nm = 0.85", "wavelength_nm must be 300 to 1100 nm (got 0.85)"),
         ("pixel_pitch_um = 1e-300", "pixel_pitch_um must be 0.01 to 1e+06 µm (got 1e-300)"),

@@ -1,7 +1,7 @@
 """Datasets whose scenes have different fields of view and objects of different reflectance."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from training_runs import assert_same_end, settings, train_on_one_thread
 
 from itof import direct_phasors, pixel_rays, read_image
 from itof.capture.importing import import_capture
+from itof.exr.image import write_image
 from itof.files.measurement_files import MeasurementError
 from itof.sensor.cameras import load_sensor
 from itof.wall.wall_view import WallView
@@ -202,22 +203,59 @@ def test_predictions_know_the_field_of_view_and_refuse_those_that_the_training_h
     done = night_here(*command, "--out", tmp_path / "out", "--fov", fov_deg)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    assert (record["schema_version"], record["horizontal_fov_deg"]) == (
-        PREDICTION_SCHEMA,
-        pytest.approx(fov_deg),
-    )
-    # The plane is that of the scene's camera, which only the right rays find.
-    truth = inverse_distance_per_m(views.scene(scene), 14, 24)
-    rays = pixel_rays(24, 14, fov_deg)
-    plane = np.array(record["images"][0]["wall"]["plane_per_m"])
-    np.testing.assert_allclose(rays @ plane, truth, atol=5e-3)
+    assert record["schema_version"] == PREDICTION_SCHEMA
+    assert record["images"][0]["horizontal_fov_deg"] == pytest.approx(fov_deg)
+    assert_shows_the_wall(record["images"][0], views.scene(scene))
     sentence = refusal(*command, "--out", tmp_path / "x", "--fov", 75)
-    assert "was trained for a field of view of " in sentence
-    assert "not for 75: cut it out of the image" in sentence
+    assert "the field of view is 75 degrees, and the training saw " in sentence
     assert "nan is not in the range 1<=x<=170" in refusal(*command, "--out", tmp_path / "x", "--fov", "nan")
     with pytest.raises(MeasurementError, match="no camera sees nan degrees"):
         predict_file(run, command[3], tmp_path / "x", horizontal_fov_deg=float("nan"))
     assert not (tmp_path / "x").exists()
+
+
+def assert_shows_the_wall(image, scene):
+    """Whether a predicted image has the plane of the scene's camera, which only the right rays find."""
+    rays = pixel_rays(24, 14, scene.camera.horizontal_fov_deg)
+    plane = np.array(image["wall"]["plane_per_m"])
+    np.testing.assert_allclose(rays @ plane, inverse_distance_per_m(scene, 14, 24), atol=5e-3)
+
+
+def test_an_image_in_a_dataset_has_the_field_of_view_of_its_scene(views, run, tmp_path):
+    file = views.render_folder("000001") / "itof.exr"
+    assert "horizontal_fov_deg" not in read_image(file).attributes
+    scene = views.scene("000001")
+    done = predict_file(run, file, tmp_path / "out", device="cpu", progress=False)
+    assert done.images[0].horizontal_fov_deg == scene.camera.horizontal_fov_deg
+    assert_shows_the_wall(asdict(done.images[0]), scene)
+
+
+def test_a_field_of_view_in_a_file_is_that_of_its_images(views, run, tmp_path):
+    scenes = [views.scene(each) for each in ("000001", "000002", "000003")]
+    images = [read_image(views.render_folder(scene.id) / "itof.exr") for scene in scenes]
+    views_deg = [scene.camera.horizontal_fov_deg for scene in scenes]
+    arrays = {"frequencies_hz": images[0].phasors()[1], "phasors": [each.phasors()[0] for each in images]}
+    np.savez(tmp_path / "three.npz", **arrays, horizontal_fov_deg=views_deg)
+    done = predict_file(run, tmp_path / "three.npz", tmp_path / "out", device="cpu", progress=False)
+    for image, scene in zip(done.images, scenes, strict=True):
+        assert image.horizontal_fov_deg == scene.camera.horizontal_fov_deg
+        assert_shows_the_wall(asdict(image), scene)
+
+    copy, out = tmp_path / "itof.exr", ("--out", tmp_path / "x", "--device", "cpu")
+    write_image(copy, images[0].channels, {"horizontal_fov_deg": "75.0"})
+    sentence = refusal("night-eval", "predict", run, copy, *out)
+    assert "the field of view is 75 degrees, and the training saw " in sentence
+    write_image(copy, images[0].channels, {"horizontal_fov_deg": "wide"})
+    assert "has a field of view that is no number: 'wide'" in refusal(
+        "night-eval", "predict", run, copy, *out
+    )
+    for wrong, words in (
+        ([60.0, 61.0], "one for each of the 3 images"),
+        ("sixty", "must be"),
+        (200.0, "no camera sees 200 degrees"),
+    ):
+        np.savez(tmp_path / "three.npz", **arrays, horizontal_fov_deg=wrong)
+        assert words in refusal("night-eval", "predict", run, tmp_path / "three.npz", *out)
 
 
 def test_an_imported_capture_brings_its_field_of_view(views, run, tmp_path):
@@ -232,8 +270,10 @@ def test_an_imported_capture_brings_its_field_of_view(views, run, tmp_path):
     done = night_here("night-eval", "predict", run, tmp_path / f"{fov_deg:g}.npz", *out)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    assert record["horizontal_fov_deg"] == pytest.approx(fov_deg, abs=1e-6)
-    assert "not for 80: cut it out" in refusal("night-eval", "predict", run, tmp_path / "80.npz", *out)
+    assert record["images"][0]["horizontal_fov_deg"] == pytest.approx(fov_deg, abs=1e-6)
+    assert "the field of view is 80 degrees" in refusal(
+        "night-eval", "predict", run, tmp_path / "80.npz", *out
+    )
     (tmp_path / "80.npz").rename(tmp_path / "moved.npz")
     assert "80.npz" in refusal("night-eval", "predict", run, tmp_path / "80.npz", *out)
     (tmp_path / "moved.npz").rename(tmp_path / "80.npz")
@@ -260,6 +300,8 @@ def test_renders_have_the_field_of_view_and_the_reflectance_of_their_scene(tmp_p
     for scene_id in dataset.ids():
         scene = dataset.scene(scene_id)
         image, bright = (read_image(each.render_folder(scene_id) / "itof.exr") for each in (dataset, white))
+        assert float(image.attributes["horizontal_fov_deg"]) == scene.camera.horizontal_fov_deg
+        assert json.loads(image.attributes["camera_location_m"]) == list(scene.camera.location_m)
         direct = image.phasors("direct")[0]
         wall, camera = scene.relay_wall, scene.camera
         expected = direct_phasors(

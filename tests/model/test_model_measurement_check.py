@@ -1,6 +1,7 @@
 """Measurements of something else than the run's wall: refused in a sentence, or predicted with --force."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from wall_measurements import DEFECTS, farther, noise
 
 import model
 from itof.files.measurement_files import Measurement
+from itof.wall.check_result import FileFinding
 from model.prediction.measurement_check import MOST_REFUSED, check_measured
 from model.prediction.prediction_files import PREDICTION_SCHEMA, predict_file
 from model.prediction.predictor import load
@@ -76,12 +78,15 @@ def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, w
     assert (record["schema_version"], record["ignored"]) == (PREDICTION_SCHEMA, [])
 
     arrays = {"phasors": phasors[0], "reference": wall.direct, "ref": phasors[1], "note": np.array("mine")}
-    done = night_here("night-eval", "predict", seeing_run, write_npz(tmp_path / "b.npz", **arrays), *out)
+    compared = write_npz(tmp_path / "b.npz", **arrays)
+    done = night_here("night-eval", "predict", seeing_run, compared, *out, "--force")
+    assert done.returncode == 0, done.stderr
     assert "warning: the wall" not in done.stderr
     reference, place, ignored, *_ = done.stdout.splitlines()
     assert reference == "reference: measured (the array reference)"
     assert place.endswith(" mm (mean along the rays) from where the reference has it")
-    assert ignored == "ignored arrays: ref, note; only phasors, frequencies_hz and reference are read"
+    read = "phasors, frequencies_hz, reference and horizontal_fov_deg are read"
+    assert ignored == f"ignored arrays: ref, note; only {read}"
     record = record_of(tmp_path / "out")
     assert (record["reference"], record["ignored"]) == ("measured", ["ref", "note"])
     assert record["reference_wall"] is None  # of channels that calibrate themselves only
@@ -91,6 +96,21 @@ def test_a_rendered_file_can_be_checked_alone(seeing_run, exr):
     check = model.check_file(str(seeing_run), str(exr), device="cpu")
     assert (check.findings, check.refused, check.ignored, check.measured_reference) == ((), False, (), False)
     assert check.walls[0].mean_shift_m < 1e-3
+
+
+def test_no_error_is_expected_after_a_warning(tmp_path):
+    wall = load("night-40x30", "cpu").wall
+    file = write_npz(tmp_path / "m.npz", phasors=farther(wall.direct, wall, 0.1))  # an empty corner
+    done = predict_file("night-40x30", file, tmp_path / "out", force=True, device="cpu", progress=False)
+    (doubtful,) = done.images
+    assert (doubtful.expected_mae_m, doubtful.expected_depth_error_m) == (None, None)
+    assert "after a warning, no error can be expected" in doubtful.sentence
+    assert "expected MAE" not in doubtful.sentence
+    one = replace(doubtful, expected_mae_m=0.01, doubted=False)
+    moved = replace(done.check, findings=(FileFinding("wall-moved", "it is", False, ("000001",)),))
+    assert one.after(moved) == one  # the finding is about the other image
+    of_the_reference = replace(moved, findings=(replace(moved.findings[0], images=()),))
+    assert one.after(of_the_reference).expected_mae_m is None
 
 
 @pytest.mark.parametrize("name", ["noise", "ones", "20 and 60", "negative", "columns", "5 cm farther"])

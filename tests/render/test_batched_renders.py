@@ -80,7 +80,7 @@ def test_what_the_engine_cannot_render_goes_to_many_lights(copied):
     first, second, *_ = copied.ids()
     mesh = copied.scene_folder(first) / "hidden_object_0.ply"
     moved = trimesh.load(mesh, process=False)
-    moved.vertices = moved.vertices + 0.01
+    moved.vertices = moved.vertices + 1e-3
     mesh.write_bytes(moved.export(file_type="ply"))
     accepted = renderer(copied, error=0.2, accept_edited=True)
     assert methods(accepted.render_all([first, second])) == ["many-light", "batched"]

@@ -23,7 +23,7 @@ from scenegen import open_dataset, read_record
 
 PARTS = {"phasors": "itof", "direct_phasors": "direct", "hidden_phasors": "hidden"}
 IMAGES = {*PARTS, "mirrored_phasors", "radial_depth_m", "mask"}
-COLUMNS = {"scene_id", "object_class", "split", "roughness", "scene", "render"}
+COLUMNS = {"scene_id", "object_class", "split", "roughness", "horizontal_fov_deg", "scene", "render"}
 DOCUMENTS = {"preset", "provenance", "left_out"}
 
 
@@ -59,6 +59,8 @@ def test_parameters_are_those_of_the_scene_files(exported, seven_renders):
             text = (dataset.scene_folder(entry.id) / "scene.json").read_text()
             assert file["scene"].asstr()[row] == text
             assert file["roughness"][row] == json.loads(text)["relay_wall"]["roughness"]
+            camera = json.loads(text)["camera"]
+            assert file["horizontal_fov_deg"][row] == camera["horizontal_fov_deg"]
             assert file["object_class"].asstr()[row] == entry.object_class
             assert file["split"].asstr()[row] == entry.split
             record = dataclasses.asdict(read_record(dataset.render_folder(entry.id)))
@@ -233,33 +235,6 @@ def test_the_network_predicts_from_the_file_as_from_the_renders(finished_run, tm
         )
         # the same network on the same numbers: float32 rounding of another batch
         np.testing.assert_allclose(found.phasor, expected.phasor, atol=1e-5)
-
-
-@pytest.mark.long
-def test_the_data_set_of_the_page_gives_batches_to_pytorch(exported, tmp_path):
-    page = (ROOT / "docs" / "guide" / "datasets.md").read_text()
-    block = re.search(r"^```python\n(import h5py\n.*?)^```", page, re.M | re.S)[1]
-    shutil.copy(exported, tmp_path / "paper.h5")
-    check = """
-import numpy as np
-import pytest
-batches = list(loader)
-assert sum(len(batch["mask"]) for batch in batches) == len(loader.dataset) == 4
-assert batches[0]["phasors"].dtype == torch.complex64
-with h5py.File("paper.h5") as file:
-    rows = file["splits/train"][:]
-    for name in ("phasors", "radial_depth_m", "mask"):
-        found = np.concatenate([batch[name].numpy() for batch in batches])
-        values = file[name][:][rows]
-        order = [int(np.argmin([np.abs(v - f).sum() for v in values])) for f in found]  # it was shuffled
-        assert name == "mask" or sorted(order) == [0, 1, 2, 3]
-        assert (found == values[order]).all()
-"""
-    (tmp_path / "page.py").write_text(block + check)
-    done = subprocess.run(
-        [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
 
 
 def test_the_lines_of_the_page_that_need_h5py_alone_run(exported, tmp_path):

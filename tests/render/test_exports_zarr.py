@@ -48,7 +48,7 @@ def test_arrays_and_attributes_are_those_of_the_hdf5_file(folder, exported):
             assert dict(root[name].attrs) == dict(item.attrs)
             assert text or root[name].dtype == item.dtype
         assert dict(root.attrs) == {key: getattr(v, "item", lambda v=v: v)() for key, v in file.attrs.items()}
-    assert len(names) == 19
+    assert len(names) == 20
     assert sum(1 for _ in folder.rglob(".zarray")) == len(names)
 
 

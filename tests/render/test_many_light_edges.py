@@ -234,7 +234,7 @@ def test_light_stays_out_of_a_closed_object(variant, tmp_path, mesh):
 
 def test_an_object_in_a_closed_box_gets_no_light_at_all(variant, tmp_path):
     scene = Corner((ball(3, 0.1),), blockers=(box(),)).load(tmp_path)
-    with pytest.raises(HiddenSurfaceError, match="no hidden object can be seen from the lit wall"):
+    with pytest.raises(HiddenSurfaceError, match="no hidden object can be seen from the lit relay wall"):
         expose(scene, variant, layout=SMALL)
 
 

@@ -181,7 +181,7 @@ def test_an_object_that_the_lit_wall_cannot_see_is_named(variant, tmp_path):
     boxed.blockers[0].apply_translation(OBJECT_LOCATION_M)
     behind = Corner((ball(centre=(-1.0, 0.9, 1.6)),))
     for corner in (boxed, behind):
-        with pytest.raises(HiddenSurfaceError, match="seen from the lit wall"):
+        with pytest.raises(HiddenSurfaceError, match="seen from the lit relay wall"):
             expose(corner.load(tmp_path), variant)
 
 

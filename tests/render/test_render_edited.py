@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+import trimesh
 from night_commands import night_here, refusal
 from render_runs import SETTINGS, results
 
@@ -165,3 +166,54 @@ def test_a_bad_render_of_an_intact_scene_is_still_blamed(rendered_copy):
     done = night_here("night-render", "verify", rendered_copy, *ONLY)
     assert "bad: 000002: itof.exr" in done.stdout
     assert "scene files" not in done.stdout
+
+
+def moved_in_the_label(scene, meshes):
+    scene["hidden_objects"][0]["location_m"][0] += 0.4
+
+
+def turned_in_the_label(scene, meshes):
+    scene["hidden_objects"][0]["rotation_deg"][1] += 30.0
+
+
+def wall_moved_in_the_label(scene, meshes):
+    scene["middle_wall"]["location_m"][2] += 0.1
+
+
+def mirror_image_left_behind(scene, meshes):
+    scene["hidden_objects"][0]["location_m"][0] += 0.1
+    meshes["hidden_object_0.ply"].vertices += [0.1, 0, 0]
+
+
+def object_moved(scene, meshes):
+    mirror_image_left_behind(scene, meshes)
+    meshes["mirrored_hidden_object_0.ply"].vertices -= [0.1, 0, 0]  # the relay wall is in the plane x = 0
+
+
+@pytest.mark.parametrize(
+    ("edit", "wrong"),
+    [
+        (moved_in_the_label, "hidden_object_0.ply is up to 0.4 m from where scene.json has it"),
+        (turned_in_the_label, r"hidden_object_0.ply is up to 0.\d+ m from where scene.json has it"),
+        (wall_moved_in_the_label, "middle_wall.ply is up to 0.1 m from where scene.json has it"),
+        (mirror_image_left_behind, "mirrored_hidden_object_0.ply is up to 0.1 m from where"),
+        (object_moved, None),
+    ],
+)
+def test_meshes_that_are_not_where_the_scene_says_are_refused(unrendered, edit, wrong):
+    scene_id = next(
+        each.id for each in open_dataset(unrendered).index.scenes if each.object_class == "parallelepiped"
+    )
+    folder = unrendered / "scenes" / scene_id
+    data = json.loads((folder / "scene.json").read_text())
+    meshes = {file.name: trimesh.load(file, process=False) for file in folder.glob("*.ply")}
+    edit(data, meshes)
+    (folder / "scene.json").write_text(json.dumps(data))
+    for name, mesh in meshes.items():
+        (folder / name).write_bytes(mesh.export(file_type="ply"))
+    renderer = Renderer(open_dataset(unrendered), RenderSettings(device="cpu", accept_edited=True))
+    if wrong is None:
+        assert renderer.render(scene_id).attributes["scene_files"] == "edited"
+    else:
+        with pytest.raises(NightError, match=wrong):
+            renderer.render(scene_id)

@@ -144,7 +144,7 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
     data = shutil.copytree(found, tmp_path / "data")
     status = night_here("night-render", "status", data).stdout
     assert "7 scenes: 6 done, 0 running, 1 failed, 0 missing" in status
-    assert "failed: 000004: its worker process died" in status
+    assert "failed: scene 000004: its worker process died" in status
     again = render_here(data)
     assert again.returncode == 1
     assert again.stdout.startswith("0 scenes rendered, 6 were there")

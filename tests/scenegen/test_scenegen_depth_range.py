@@ -128,11 +128,6 @@ def test_the_command_and_python_refuse_them_before_they_write_anything(tmp_path)
     assert not (tmp_path / "data").exists()
 
 
-def test_a_camera_behind_the_relay_wall_is_refused():
-    with pytest.raises(PresetError, match=r"camera.location_m is 0\.5 m behind the front of the relay wall"):
-        refuse_wrapping_depths(at(20e6, camera={"location_m": [-0.5, -1.0, 1.65]}), {})
-
-
 def test_the_size_of_a_mesh_counts_as_it_is(tmp_path):
     trimesh.creation.icosphere(radius=3.0).export(tmp_path / "ball.ply")
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.ply")

@@ -15,6 +15,7 @@ from scenegen import (
     DatasetError,
     RenderingRecord,
     SamplingError,
+    load_preset,
     open_dataset,
     preset_from_dict,
     scene_id,
@@ -213,3 +214,39 @@ def test_the_index_says_by_what_the_scenes_were_made(maker, tmp_path):
     assert index.packages["numpy"] == np.__version__
     assert index.packages["trimesh"] == trimesh.__version__
     assert index.blender_version.startswith(index.packages["bpy"])
+
+
+def test_a_dataset_is_replaced_by_one_of_another_preset_when_that_is_wanted(maker, tmp_path):
+    data, file = tmp_path / "data", tmp_path / "wider.toml"
+    before = of_seed_5(4)
+    generate(data, before, maker, lambda: None)
+    for name in ("renders/000001/itof.exr", "shards/a.npy"):
+        (data / name).parent.mkdir(parents=True)
+        (data / name).write_bytes(bytes(1000))
+    there = contents(data)
+    file.write_text("[dataset]\ncount = 3\nseed = 5\n[camera]\nhorizontal_fov_deg = 55.5\n")
+    command = ("night-gen", "scenes", data, "--preset", file, "--replace")
+    said = refusal(*command)
+    assert said.startswith(f"this would delete 4 scenes and 1 renders in {data}, ")
+    assert "to make them again with dataset.count = 3, " in said
+    assert "camera.horizontal_fov_deg = 55.5" in said
+    assert contents(data) == there
+    note = data / "scenes" / "000003" / "notes.txt"
+    note.write_text("mine")
+    assert f"night-gen did not make {note}" in refusal(*command, "--yes")
+    note.unlink()
+    assert contents(data) == there
+
+    done = night_here(*command, "--yes")
+    assert done.returncode == 0, done.stderr
+    generate(tmp_path / "new", load_preset(file), maker, lambda: None)
+    assert contents(data) == contents(tmp_path / "new")
+    again = night_here(*command, "--count", "5")  # more scenes of the same preset: nothing is lost
+    assert again.returncode == 0, again.stderr
+
+
+def test_captures_are_never_replaced(maker, tmp_path):
+    dataset = generate(tmp_path, of_seed_5(3), maker, lambda: None)
+    write_index(tmp_path, replace(dataset.index, generator=MEASURED_GENERATOR))
+    with pytest.raises(DatasetError, match="holds captures of a camera"):
+        generate(tmp_path, of_seed_5(2), maker, lambda: None, replacing=True)

@@ -107,7 +107,7 @@ def test_the_workers_end_with_the_command(working, number, code):
 @pytest.mark.long
 def test_a_preset_without_room_is_refused_by_workers_in_the_same_words(tmp_path):
     (tmp_path / "my.toml").write_text(
-        '[hidden_object]\nshapes = ["cube"]\ncomposite_fraction = 0.0\nlocation_m = { x = [0.1, 0.1] }\n'
+        '[hidden_object]\nshapes = ["cube"]\ncomposite_fraction = 0.0\nsize_m = { cube = [2.5, 2.5, 2.5] }\n'
     )
     command = ["night-gen", "scenes", tmp_path / "out", "--preset", tmp_path / "my.toml", "--workers"]
     done = [night_here(*command, 1), night(*command, 2)]

@@ -120,6 +120,11 @@ DEFECTS = {
         "convention",
         "the phases are twice those of the wall",
     ),
+    "phase of half the path": (
+        lambda z, w: np.abs(z) * np.exp(0.5j * w.slope * w.radial_depth_m[..., None]),
+        "convention",
+        "the phases are half those of the wall: frequencies_hz too large",
+    ),
     "one conjugated": (
         lambda z, w: np.concatenate([z[..., :2], z[..., 2:].conj()], axis=-1),
         "convention",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from model.data.sensor_draws import view_problem
 from model.data.shards import Shards, open_shards
 from model.judging.exposures.figure import write_exposure_figure
 from model.judging.exposures.results import FIGURE_FILE, ExposureReport, ExposureRow, files_of_exposures
+from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
     EvaluationError,
     nothing_rendered,
@@ -35,6 +37,8 @@ from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 from scenegen import MEASUREMENT_FILE, Dataset, Split
+
+_log = logging.getLogger(__name__)
 
 _STREAM = 0xE890  # of the noise, apart from those of other random numbers
 _NEEDED = "a camera needs the direct and the hidden light that night-render writes"
@@ -51,6 +55,7 @@ def judge_exposures(
     each_imperfection: bool = False,
     first: int | None = None,
     split: Split = "test",
+    force: bool = False,
     device: DeviceName = "auto",
     progress: bool = True,
 ) -> ExposureReport:
@@ -69,6 +74,7 @@ def judge_exposures(
     each_imperfection : instead of one row for each number of exposures: at one number, the camera with each
         of its imperfections alone, and with all but this one.
     first : judge the first so many scenes of the split only.
+    force : as in `model.evaluate`.
 
     Raises
     ------
@@ -97,6 +103,8 @@ def judge_exposures(
     rows = shards.rows(split)[:first]
     if not rows:
         raise nothing_rendered(dataset, split)
+    for sentence in refuse_other_corner(predictor.config, dataset, shards.ids(rows), run, force=force):
+        _log.warning("warning: %s", sentence)
     frequencies_hz = predictor.config.inputs.frequencies_hz
     problem = view_problem(sensor, dataset, shards.manifest.width, shards.manifest.height, frequencies_hz)
     if problem:

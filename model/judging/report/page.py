@@ -87,6 +87,7 @@ def write_page(
         image_size=origin["image_size"],
         split=report.split,
         scene_count=len(report.scenes),
+        warnings=report.warnings,
         judged_with=report.calibration.judged_with,
         tiles=_tiles(report),
         summary_head=SUMMARY_HEAD,

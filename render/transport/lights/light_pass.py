@@ -141,7 +141,8 @@ def light_density(scene: mi.Scene, surface: HiddenSurface, seed: int) -> NDArray
         raise HiddenSurfaceError("the light on the hidden objects is not finite: check the emitters")
     if not lit.any():
         raise HiddenSurfaceError(
-            "no hidden object can be seen from the lit wall: move it, or remove it from the scene"
+            "no hidden object can be seen from the lit relay wall: widen the gap that the middle wall "
+            "leaves, or move the objects"
         )
     mean = (lit * pilot.reflectance).reshape(_STRETCHES, _PILOT_POINTS).mean(axis=1)
     density = maximum_filter1d(mean, 3, mode="nearest")

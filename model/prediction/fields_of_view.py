@@ -1,0 +1,68 @@
+"""The fields of view of the images in a measurement file, and whether a network has seen them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from disk import NightError
+from disk.quantities import fov_problem
+from itof.capture.record import imported_fov_deg
+from itof.files.measurement_files import Measurement, MeasurementError
+from itof.wall.finding import Finding
+from model.prediction.predictor import Predictor
+from model.run_folder.run_config import RunConfig
+from scenegen import open_dataset
+
+_SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
+
+
+def with_fields_of_view(measured: Measurement, given_deg: float | None) -> Measurement:
+    """The measurement with the field of view that is given; else with what is known of its own.
+
+    That is what its file says, else the record of its import, else the scene of the dataset that has rendered
+    it. Nothing may be known.
+
+    Raises
+    ------
+    MeasurementError : no camera has the field of view that is given.
+    """
+    if given_deg is not None and (problem := fov_problem(given_deg)):
+        raise MeasurementError(problem)
+    if given_deg is None and measured.fields_of_view_deg:
+        return measured
+    known_deg = given_deg or imported_fov_deg(measured.path) or _rendered_fov_deg(measured.path)
+    views_deg = () if known_deg is None else (known_deg,) * len(measured.phasors)
+    return replace(measured, fields_of_view_deg=views_deg)
+
+
+def _rendered_fov_deg(file: Path) -> float | None:
+    """That of the scene whose render the file is, in a dataset; None if it is none."""
+    folder = file.resolve().parent
+    if folder.parent.name != "renders" or not (folder.parents[1] / "dataset.json").is_file():
+        return None
+    try:
+        return open_dataset(folder.parents[1]).scene(folder.name).camera.horizontal_fov_deg
+    except NightError:
+        return None
+
+
+def predictors_of(predictor: Predictor, measured: Measurement) -> tuple[Predictor, ...]:
+    """The network for each image, with its field of view; the same one for images of the same."""
+    geometry = predictor.config.geometry
+    made = {deg: predictor.at(geometry.with_fov(deg)) for deg in set(measured.fields_of_view_deg)}
+    return tuple(made[deg] for deg in measured.fields_of_view_deg) or (predictor,) * len(measured.phasors)
+
+
+def view_findings(trained: RunConfig, fields_of_view_deg: Iterable[float]) -> Iterator[Finding]:
+    """The first field of view, degrees, that the training of a network has not seen."""
+    least_deg, most_deg = trained.trained_views_deg
+    for view_deg in fields_of_view_deg:
+        if not least_deg - _SAME_DEG <= view_deg <= most_deg + _SAME_DEG:
+            seen = f"{least_deg:.4g}" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g}"
+            words = f"the field of view is {view_deg:.4g} degrees, and the training saw {seen}: cut it out "
+            words += "of the image (capture import --fov), or use another network"
+            yield Finding("other-view", words, True)
+            return
