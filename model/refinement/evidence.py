@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from model.refinement.least_squares import Fit, jacobians
 from model.refinement.sketch import Sketch
-from model.refinement.unknowns import Fitted, Unknown, changed, within_reach
+from model.refinement.unknowns import FARTHEST, Fitted, Unknown, changed, within_reach
 
 Floats = NDArray[np.float64]
 USUAL_MISFIT: Final = 0.002  # ε, of the right solids
@@ -34,7 +34,6 @@ _OF_A_POSE: Final = 7  # unknowns of a solid, and the roughness of the wall
 # One of seven scenes has two solids, and each of six unknowns lowers a chi-squared by one, by chance.
 _OF_ANOTHER: Final = 2 * math.log(6) + 6
 _DRAWS: Final = 8
-_RIDGE: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -100,9 +99,11 @@ class Spread:
         ((unknowns, jacobian),) = jacobians([fit], fitted)
         observed = fit.comparison.observed
         model = max(fit.unexplained, USUAL_MISFIT) ** 2 * float(observed.values @ observed.values)
-        normal = jacobian.T @ jacobian
-        normal += _RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
-        covariance = np.linalg.inv(normal) * (observed.noise**2 + model / _SMOOTH)
+        reach = np.array(
+            [FARTHEST[unknown.kind] for unknown in unknowns]
+        )  # what light does not tell is not far
+        information = jacobian.T @ jacobian / (observed.noise**2 + model / _SMOOTH) + np.diag(reach**-2)
+        covariance = np.linalg.inv(information)
         draws = np.random.default_rng(seed).multivariate_normal(
             np.zeros(len(covariance)), covariance, _DRAWS, method="eigh"
         )

@@ -46,7 +46,7 @@ class Comparison:
         for each candidate.
     knows_camera : whether it is the relay wall that is moved, not the camera, so that the camera sees it
         where the measurement shows it.
-    lacking : (P, F) what few nodes lack of the light near one candidate (`corrected`); None: it is not known.
+    lacking : (P, F) what the light in the middles of blocks lacks near one candidate (`corrected`), or None.
     """
 
     observed: HiddenLight
@@ -115,7 +115,7 @@ def _hidden(asked: Asked) -> list[tuple[NDArray[np.complex128], float]]:
     first = asked[0][0]
     placed = [comparison.placed(candidate) for comparison, candidate in asked]
     found = []
-    whites = _light(first, placed, first.fine)
+    whites = _light(first, placed)
     for (comparison, _), white in zip(asked, whites, strict=True):
         if comparison.lacking is not None:
             white = white + comparison.lacking
@@ -128,28 +128,30 @@ def _hidden(asked: Asked) -> list[tuple[NDArray[np.complex128], float]]:
     return found
 
 
-def _light(comparison: Comparison, placed: Sequence[Scene], fine: bool) -> NDArray[np.complex128]:
-    """(N, P, F) hidden over direct light of candidates in the middles of blocks."""
-    observed = comparison.observed
-    if not fine:
-        return comparison.light.over_direct(placed, observed.rays, fine=False)
-    parts = observed.parts
-    values = comparison.light.over_direct(placed, parts.reshape(-1, 3), fine=True)
-    values = values.reshape(len(placed), *parts.shape[:2], -1)
-    return np.stack([observed.blocks.middles_of_parts(each, observed.where) for each in values])
+def _light(comparison: Comparison, placed: Sequence[Scene]) -> NDArray[np.complex128]:
+    """(N, P, F) hidden over direct light of candidates: in the middles of blocks, or as means of parts."""
+    observed, is_exact = comparison.observed, comparison.fine and comparison.lacking is None
+    rays = observed.parts.reshape(-1, 3) if is_exact else observed.rays
+    light = comparison.light.over_direct(placed, rays, fine=comparison.fine)
+    if not is_exact:
+        return light
+    parts = light.reshape(len(placed), *observed.parts.shape[:2], -1)
+    return np.stack([observed.blocks.middles_of_parts(each, observed.where) for each in parts])
 
 
-def corrected(asked: Asked) -> Asked:
-    """The comparisons with few nodes, and with what these lack at their own candidates.
+def corrected(asked: Asked, *, fine: bool = False) -> Asked:
+    """The comparisons with what their light in the middles of blocks lacks at their own candidates.
 
-    Near these, the light of few nodes then is as right as that of many, at a tenth of the price.
+    Near these, few nodes then are as right as many, at a hundredth of the price. But their light is not
+    smooth, and fits in long valleys end on their way: with `fine`, it is that of many.
     """
     first = asked[0][0]
     placed = [comparison.placed(candidate) for comparison, candidate in asked]
-    few, many = (_light(first, placed, fine) for fine in (False, True))
+    exact = _light(replace(first, fine=True, lacking=None), placed)
+    near = first.light.over_direct(placed, first.observed.rays, fine=fine)
     return [
-        (replace(comparison, fine=False, lacking=lacking), candidate)
-        for (comparison, candidate), lacking in zip(asked, many - few, strict=True)
+        (replace(comparison, fine=fine, lacking=lacking), candidate)
+        for (comparison, candidate), lacking in zip(asked, exact - near, strict=True)
     ]
 
 
@@ -191,6 +193,11 @@ class _Going:
     has_ended: bool = False
     slopes: _Slopes = _NO_SLOPES
     age: int | None = None
+
+    @property
+    def with_few_nodes(self) -> _Going:
+        """The fit with cheap derivatives: those of few nodes, which will not do in long valleys."""
+        return replace(self, comparison=replace(self.comparison, fine=False))
 
     def change(self, trial: int) -> Floats:
         """(U,) the step with a damping that grows with each trial."""
@@ -242,7 +249,8 @@ def least_misfits(
     """
     if not starts:
         return []
-    reused = 0 if fitted.sizes else _REUSED  # long valleys need all slopes
+    # Long valleys need all slopes where light is not smooth; without sizes, slopes of few nodes cost nothing.
+    reused = _REUSED if fitted.sizes == starts[0][0].fine else 0
     fits = [_Going(*start, misfit, reused) for start, misfit in zip(starts, misfits(starts), strict=True)]
     for _ in range(steps):
         going = [fit for fit in fits if not fit.has_ended]
@@ -260,7 +268,8 @@ def least_misfits(
 def _step(fits: Sequence[_Going], fitted: Fitted, enough: float, one_sided: bool) -> None:
     """One step of each fit: it takes the smallest of a few dampings that lowers its misfit."""
     old = [fit for fit in fits if fit.age is None]
-    for fit, slopes in zip(old, (_forward if one_sided else jacobians)(old, fitted), strict=True):
+    few = old if fitted.sizes else [fit.with_few_nodes for fit in old]
+    for fit, slopes in zip(old, (_forward if one_sided else jacobians)(few, fitted), strict=True):
         fit.slopes, fit.age = slopes, 0
     left = list(fits)
     for trial in range(_TRIALS):

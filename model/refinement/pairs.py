@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -89,11 +89,12 @@ class Pairs:
         lit = {shape: each.lit(pairs._bright, corner) for shape, each in libraries.items()}
         return replace(pairs, corner=corner, libraries=lit)
 
-    def starts(self, count: int) -> list[Scene]:
-        """At most so many of each two shapes that are most like the depth map and the light."""
+    def starts(self, count: int, among: Collection[frozenset[Shape]] | None = None) -> list[Scene]:
+        """At most so many of each two shapes, or of those `among` all, most like depth map and light."""
         return [
             start
             for one, two in itertools.combinations(self.libraries.values(), 2)
+            if among is None or {one.draws.shape, two.draws.shape} in among
             for _, start in self._best(one, two, self._against(one, two), count)
         ]
 

@@ -19,10 +19,11 @@ from scenegen.scene import HiddenObject, RelayWall, Scene
 from scenegen.shapes import Shape
 
 _SAME_M: Final = 0.001  # two fits whose mirror images differ by less are one
-_CERTAIN: Final = (0.004, 0.0028)  # a fit of one or two solids that leaves less unexplained ends the search
+_CERTAIN: Final = 0.0025  # a fit that leaves less unexplained ends the search
 _LIKELY: Final = 2.5  # so does one with less evidence against it
 _ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
-_FINE_STEPS, _WALLS = 4, 2
+_FINE_STEPS, _WALLS = 6, 2
+_LONG, _LONG_STEPS = 2, 12  # fits of unknown sizes that go on, and their steps
 _LIBRARY: Final = 400  # solids of each shape of which pairs are made
 _AROUND: Final = 0.7  # how far each is from the middle, over the largest distance of two, at most
 _EXCHANGED, _OTHERS = 6, 6  # pairs of which one solid is exchanged, and for how many others
@@ -45,10 +46,11 @@ class _Funnel:
     polished: int
 
 
-_FIRST, _MORE = _Singles(300, 10, 4), _Singles(900, 24, 8)
-_OF_FIRST, _OF_MORE = _Funnel(((24, 3), (8, 10)), 3), _Funnel(((48, 6), (16, 10)), 6)
+_FIRST, _MORE = _Singles(300, 10, 4), _Singles(900, 120, 12)
+_OF_FIRST, _OF_MORE = _Funnel(((24, 3), (8, 10)), 3), _Funnel(((72, 4), (24, 6), (12, 10)), 6)
 _OF_PAIRS: Final = _Funnel(((60, 3), (24, 4), (8, 8)), 6)
-_LIT_PAIRS: Final = 30  # of each two shapes
+_LIT_PAIRS, _LIT_LIKELY = 30, 150  # of each two shapes, and then of the likely ones
+_LIKELY_SHAPES: Final = 2  # pairs of shapes
 _Begin = Callable[[list[Fit]], list[Fit]]
 
 
@@ -92,12 +94,12 @@ class Search:
         if self.family.apart_m is not None and len(self.family.sizes) > 1:
             pairs = self._pairs(self.family.apart_m, walls, rng)
             yield lambda _: self._lit(pairs.starts(_LIT_PAIRS)), _OF_PAIRS
+            yield lambda best: self._lit(pairs.starts(_LIT_LIKELY, _likely_shapes(best))), _OF_PAIRS
             yield lambda best: self._lit(pairs.exchanged(_two_solids(best)[:_EXCHANGED], _OTHERS)), _OF_PAIRS
 
     def _is_certain(self, fit: Fit) -> bool:
         """Whether a fit is so good that others need not be tried."""
-        certain = _CERTAIN[len(fit.candidate.hidden_objects) - 1]
-        return fit.unexplained <= certain or self.prior.against([fit])[0] <= _LIKELY
+        return fit.unexplained <= _CERTAIN or self.prior.against([fit])[0] <= _LIKELY
 
     def _walls(self) -> list[RelayWall]:
         """The relay wall as it may be: with each roughness, and as bright as the amplitudes show."""
@@ -158,17 +160,29 @@ class Search:
         return [fits[place] for place in chosen]
 
     def _polished(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Minima of the fine comparison, with the wall found again behind each solid."""
+        """Minima of the fine comparison; with unknown sizes, the best go on: their valleys are long."""
+        found = self._sorted(self._finer(fits, _FINE_STEPS))
+        more = _LONG if self.family.fits_sizes else 0
+        return [*self._finer(found[:more], _LONG_STEPS), *found[more:]]
+
+    def _finer(self, fits: Sequence[Fit], steps: int) -> list[Fit]:
+        """Fits with many nodes, and with the wall found again behind each solid."""
         starts: Asked = [(self.fine, fit.candidate) for fit in fits]
         for _ in range(_WALLS if fits else 0):
             starts = [each.behind(candidate) for each, candidate in starts]
-            found = least_misfits(corrected(starts), steps=_FINE_STEPS, fitted=self.fitted)
+            found = least_misfits(corrected(starts, fine=True), steps=steps, fitted=self.fitted)
             starts = [(each, fit.candidate) for (each, _), fit in zip(starts, found, strict=True)]
         return least_misfits(starts, steps=0)
 
     def _sorted(self, fits: Sequence[Fit]) -> list[Fit]:
         """By the evidence against them."""
         return [fits[place] for place in np.argsort(self.prior.against(fits), kind="stable").tolist()]
+
+
+def _likely_shapes(best: Sequence[Fit]) -> list[frozenset[Shape]]:
+    """The shapes of the best pairs."""
+    shapes = [frozenset(part.shape for part in each.hidden_objects) for each in _two_solids(best)]
+    return list(dict.fromkeys(shapes))[:_LIKELY_SHAPES]
 
 
 def _starts(fits: Sequence[Fit]) -> Asked:

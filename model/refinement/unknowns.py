@@ -21,7 +21,7 @@ ROUGHNESS: Final = (0.05, 1.0)  # smallest and largest of a relay wall
 _STEP_M, _STEP_RAD, _STEP_SIZE, _STEP_ROUGHNESS = 1e-2, 0.025, 2e-2, 2e-2  # of the differences
 _WIDER: Final = 3.0  # with few nodes: shadows move from node to node, and light changes in steps
 # Of one step, by kind.
-_FARTHEST: Final = {"place": 0.15, "turn": 0.5, "size": 0.2, "room": 0.15, "roughness": 0.3}
+FARTHEST: Final = {"place": 0.15, "turn": 0.5, "size": 0.2, "room": 0.15, "roughness": 0.3}
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def within_reach(candidate: Scene, numbers: Sequence[Unknown], change: Floats) -
     """A change of the unknowns, shortened to what is likely to be better and can be."""
     reached = change.copy()
     for (_, kind), places in _groups(numbers).items():
-        reached[places] = _shortened(reached[places], _FARTHEST[kind])
+        reached[places] = _shortened(reached[places], FARTHEST[kind])
         now = candidate.relay_wall.roughness
         if kind == "roughness" and now is not None:
             reached[places] = np.clip(now + reached[places], *ROUGHNESS) - now

@@ -12,7 +12,7 @@ from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
 from model.refinement.family import Family
 from model.refinement.hidden_light import HiddenLight
-from model.refinement.least_squares import Comparison, least_misfits
+from model.refinement.least_squares import Comparison, corrected, least_misfits
 from model.refinement.light.corner_light import CornerLight, known_corner, with_camera_at, with_wall_at
 from model.refinement.refining import refined, without_edges
 from model.refinement.unknowns import Fitted, moved, stretched
@@ -126,6 +126,16 @@ def test_in_any_corner_the_light_of_the_true_solids_is_the_measured_one(make_dat
         for _ in range(2):
             found, candidate = found.behind(candidate)
         assert found.relative(found.misfits([candidate])[0]) < 0.01, scene_id
+
+
+def test_few_nodes_with_what_they_lack_are_nearly_as_right_as_many(seven, lit, comparison):
+    scene_id = seven.ids()[0]
+    exact, true = comparison(sum(lit[scene_id])), seven.scene(scene_id)
+    ((near, _),) = corrected([(exact, true)])
+    np.testing.assert_allclose(near.misfits([true])[0], exact.misfits([true])[0], atol=1e-12)
+    few, away = replace(near, lacking=None), changed(true, moved, np.full(3, 0.005))
+    wrong = [norm(each.misfits([away])[0] - exact.misfits([away])[0]) for each in (near, few)]
+    assert wrong[0] < wrong[1] / 2  # half a centimetre away
 
 
 def test_the_wall_is_found_behind_the_solids(seven, lit, comparison):

@@ -142,7 +142,7 @@ def test_options_of_a_dataset_and_of_a_file_are_not_mixed(measured, dataset, tmp
     assert said == f"--split, --workers: for a dataset, which {measured} is not; leave it out"
     said = refusal("night-eval", "refine", RUN, dataset.root, *out, "--room", "paper", "--fov", 60)
     assert said == f"--fov, --room: for a file with a measurement, which {dataset.root} is not; leave it out"
-    for option in ("--rescale", "--no-rescale", "--force"):
+    for option in ("--rescale", "--no-rescale"):
         assert "for a file with a measurement" in refusal(
             "night-eval", "refine", RUN, dataset.root, *out, option
         )

@@ -118,6 +118,13 @@ def test_the_pair_that_has_depth_map_and_light_is_among_the_first(pairs, truth):
     assert len(starts) == 3 * 4
 
 
+def test_pairs_of_likely_shapes_alone_are_begun_with(pairs, truth):
+    likely = frozenset(part.shape for part in truth.hidden_objects)
+    of_these = [start for start in pairs.starts(6) if {part.shape for part in start.hidden_objects} == likely]
+    assert pairs.starts(6, [likely]) == of_these
+    assert len(of_these) == 6
+
+
 def test_no_pair_is_farther_apart_than_pairs_may_be(pairs):
     near = replace(pairs, apart_m=0.05)
     for start in near.starts(100):
