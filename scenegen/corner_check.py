@@ -20,6 +20,7 @@ from scenegen.scene import Emitter, Wall
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
+_PLACES: Final = 7  # along each side of the region; of 3, none may be both hidden and in the light
 _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.size_m"
 
 
@@ -109,7 +110,7 @@ def _in_view(
         behind_m = -float(_most(region[:1], box)[0])
         if behind_m >= 0:
             yield (
-                f"hidden_object.location_m is at least {behind_m:.3g} m behind the front of the relay wall: "
+                f"hidden_object.location_m is at least {behind_m:.2g} m behind the front of the relay wall: "
                 "move it to where the wall faces"
             )
         if (_most(region, box) <= 0).any() or not _has_point(region, box):
@@ -134,7 +135,8 @@ def _has_point(region: Points, box: Points) -> bool:
 def _region(preset: Preset, radius_m: float, relay: Wall, middle: Wall) -> Points:
     """(N, 3) possible places in the box that objects of this radius may reach."""
     ranges = preset.hidden_object.location_m
-    sides = [np.linspace(low - radius_m, high + radius_m, 3) for low, high in (ranges.x, ranges.y, ranges.z)]
+    wider = ((low - radius_m, high + radius_m) for low, high in (ranges.x, ranges.y, ranges.z))
+    sides = [np.linspace(low, high, _PLACES) for low, high in wider]
     places = np.array(list(product(*sides)))
     region = possible_region(relay, middle, preset.camera.location_m)
     possible: Points = places[(places @ region[:, :3].T + region[:, 3] > 0).all(axis=1)]

@@ -54,7 +54,7 @@ IMPOSSIBLE = {
     ),
     "objects behind the relay wall": (
         {"hidden_object": {"location_m": {"x": [-1.0, -0.3]}}},
-        r"hidden_object.location_m is at least 0.301 m behind the front of the relay wall: move it",
+        r"hidden_object.location_m is at least 0.3 m behind the front of the relay wall: move it",
     ),
     "objects in view of the camera": (
         {"hidden_object": {"location_m": {"y": [-0.9, -0.5]}}},
@@ -101,6 +101,22 @@ def test_light_may_also_go_over_a_wall_that_leaves_no_gap():
     hidden |= {"size_m": {"cube": [0.2, 0.2, 0.2]}}
     camera = {"location_m": [1.0, -1.0, 0.5], "rotation_deg": [100.0, 0.0, 50.0]}
     preset = preset_from_dict({"middle_wall": low, "hidden_object": hidden, "camera": camera}, "test")
+    refuse_impossible_corner(preset)
+    sample_valid_scene(preset, 0, refusal_of)
+
+
+def test_light_on_a_part_of_the_region_is_enough():
+    """The places that the camera sees and those in the dark are most of this region."""
+    tables = {
+        "middle_wall": {"size_m": [3.4, 2.1], "location_m": [2.0, 0.0, 2.0]},
+        "camera": {"location_m": [0.4, -1.5, 1.6], "rotation_deg": [90, 0, 65], "horizontal_fov_deg": 40},
+        "hidden_object": {
+            "location_m": {"x": [0.3, 1.7], "y": [0.2, 1.5], "z": [1.6, 1.6]},
+            "size_m": {"cube": [0.2, 0.2, 0.2]},
+        },
+    }
+    tables["hidden_object"] |= {"shapes": ["cube"], "composite_fraction": 0.0}
+    preset = preset_from_dict(tables, "test")
     refuse_impossible_corner(preset)
     sample_valid_scene(preset, 0, refusal_of)
 
