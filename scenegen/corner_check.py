@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import product
 from typing import Final
 
@@ -14,12 +15,13 @@ from scenegen.corner_geometry import Frustum, Points, corners_of, crosses, dista
 from scenegen.depth_range import NO_MESHES, largest_radius_m, refuse_wrapping_depths
 from scenegen.geometry_check import CLEARANCE_M, possible_region
 from scenegen.pose import camera_axes, wall_normal
-from scenegen.preset import CameraSettings, Preset
-from scenegen.sampling import projector_of, walls_of
+from scenegen.preset import CameraSettings, CameraSpread, Preset
+from scenegen.sampling import projector_of, sample_scene, walls_of
 from scenegen.scene import Emitter, Wall
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
+_CAMERAS: Final = 20  # of those that are spread
 _PLACES: Final = 7  # along each side of the region; of 3, none may be both hidden and in the light
 _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.size_m"
 
@@ -27,7 +29,8 @@ _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.siz
 def refuse_impossible_corner(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> None:
     """Refuse a preset whose scenes cannot be, or cannot be rendered, wherever their objects are.
 
-    Where each scene has its camera elsewhere, the camera in the middle counts.
+    Where each scene has its camera elsewhere, one of several cameras must do; the sentence is about the one
+    in the middle.
 
     Parameters
     ----------
@@ -39,16 +42,25 @@ def refuse_impossible_corner(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
         or leave no gap; no light gets to the hidden region; its objects are behind the relay wall or in view;
         or the frequencies do not represent every depth (`refuse_wrapping_depths`).
     """
-    for problem in _problems(preset, meshes):
+    for problem in _behind(preset, walls_of(preset)[0]):
         raise PresetError(problem)
+    for problem in _problems(preset, meshes):
+        if all(any(_problems(corner, meshes)) for corner in _other_corners(preset)):
+            raise PresetError(problem)
+        break
     refuse_wrapping_depths(preset, meshes)
 
 
+def _other_corners(preset: Preset) -> Iterator[Preset]:
+    """The corners of some scenes, if each has its camera elsewhere."""
+    for index in range(0 if preset.is_one_corner else _CAMERAS):
+        yield replace(preset, camera=sample_scene(preset, index).camera, camera_spread=CameraSpread())
+
+
 def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]:
-    """Why the corner cannot be; a check may rely on those before it."""
+    """Why the corner cannot be; a check may rely on those before it, and on `_behind`."""
     relay, middle = walls_of(preset)
     camera, projector = preset.camera, projector_of(preset, preset.camera)
-    yield from _behind(preset, relay)
     seen = Frustum.of_camera(camera).points_on(relay)
     if not len(seen):
         yield _looks_elsewhere(camera, relay)

@@ -121,6 +121,17 @@ def test_light_on_a_part_of_the_region_is_enough():
     sample_valid_scene(preset, 0, refusal_of)
 
 
+def test_of_cameras_that_are_spread_the_one_in_the_middle_may_see_the_region():
+    """It sees past the edge of the middle wall, and cameras that are farther from the relay wall do not."""
+    hidden = {"location_m": {"x": [0.55, 0.58], "y": [0.3, 0.3]}, "size_m": {"cube": [0.05, 0.05, 0.05]}}
+    hidden |= {"shapes": ["cube"], "composite_fraction": 0.0}
+    with pytest.raises(PresetError, match="sees every place"):
+        refuse_impossible_corner(preset_from_dict({"hidden_object": hidden}, "test"))
+    spread = preset_from_dict({"hidden_object": hidden, "camera_spread": {"location_m": 0.5}}, "test")
+    refuse_impossible_corner(spread)
+    sample_valid_scene(spread, 0, refusal_of)
+
+
 def test_a_spot_is_enough_light():
     spot = {"horizontal_fov_deg": 0.05, "rotation_deg": [90.0, 0.0, 62.0], "dots": [1, 1]}
     refuse_impossible_corner(preset_from_dict({"projector": spot}, "test"))
