@@ -21,7 +21,7 @@ from scenegen.scene import Emitter, Wall
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
-_CAMERAS: Final = 20  # of those that are spread
+_CAMERAS: Final = 6  # of those that are spread
 _PLACES: Final = 7  # along each side of the region; of 3, none may be both hidden and in the light
 _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.size_m"
 
@@ -89,8 +89,8 @@ def _behind(preset: Preset, relay: Wall) -> Iterator[str]:
     if gap_m <= 0:
         spread = "" if preset.is_one_corner else ", moved by camera_spread.location_m,"
         yield (
-            f"camera.location_m{spread} is {-gap_m:g} m behind the front of the relay wall, which the camera "
-            "must see: move the camera or turn the wall with relay_wall.rotation_deg"
+            f"camera.location_m{spread} is {round(-gap_m, 6):zg} m behind the front of the relay wall, which "
+            "the camera must see: move the camera or turn the wall with relay_wall.rotation_deg"
         )
 
 
@@ -118,6 +118,11 @@ def _in_view(
     ranges, wider_m = preset.hidden_object.location_m, np.array([-margin_m, margin_m])
     box = np.array([ranges.x, ranges.y, ranges.z]) + wider_m  # (3, 2)
     for eye, who in ((preset.camera.location_m, "camera"), (projector.location_m, "projector")):
+        if abs(distances_m(middle, np.array([eye]))[0]) <= CLEARANCE_M:
+            yield (
+                f"the {who} at {list(eye)} is in the plane of the middle wall, which hides nothing from "
+                "there: move one of them"
+            )
         region = possible_region(relay, middle, eye)  # (6, 4)
         behind_m = -float(_most(region[:1], box)[0])
         if behind_m >= 0:

@@ -68,7 +68,7 @@ class CornerFacts:
             gap = f"the middle wall reaches {max(-self.gap_m, 0):.2f} m behind the plane of the relay wall"
         return (
             "of the image, {} show the relay wall, {} the middle wall, {} nothing".format(*shares),
-            f"the camera is {self.camera_m:.2f} m from the relay wall",
+            f"the camera is {self.camera_m:z.2f} m from the relay wall",
             "{:.2f} x {:.2f} m of the relay wall are seen and lit".format(*self.lit_m),
             gap,
             "the centres of hidden objects are {:.2f} to {:.2f} m from the relay wall".format(*self.region_m),

@@ -60,6 +60,14 @@ IMPOSSIBLE = {
         {"hidden_object": {"location_m": {"y": [-0.9, -0.5]}}},
         r"the camera at \[1.0, -1.0, 1.65\] sees every place of hidden_object.location_m beside the middle",
     ),
+    "a camera in the middle wall": (
+        {"camera": {"location_m": [1.0, 0.0, 1.65]}},
+        r"the camera at \[1.0, 0.0, 1.65\] is in the plane of the middle wall, which hides nothing",
+    ),
+    "a camera on the relay wall": (
+        {"camera": {"location_m": [0.0, -1.0, 1.65]}},
+        r"camera.location_m is 0 m behind the front of the relay wall",
+    ),
     "objects in view of the projector": (
         {"projector": {"location_m": [1.0, 2.5, 1.65], "rotation_deg": [90.0, 0.0, 130.0]}},
         r"the projector at \[1.0, 2.5, 1.65\] sees every place of hidden_object.location_m",
