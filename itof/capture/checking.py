@@ -199,8 +199,8 @@ def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
         fov_deg = record.facts.horizontal_fov_deg
     if fov_deg is None:
         raise CaptureError(
-            f"{file} has neither horizontal_fov_deg nor a record of an import beside it, so nobody knows its "
-            "field of view: give it by --fov, or give the sidecar of the raw frames"
+            f"{file} has no record of an import beside it, and no horizontal_fov_deg: give its field of view "
+            "by --fov, or give the sidecar of the raw frames"
         )
     problem = fov_problem(fov_deg)
     if problem:

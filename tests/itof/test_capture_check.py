@@ -282,7 +282,7 @@ def test_a_capture_that_shows_no_wall_ends_with_exit_code_2_its_findings_and_a_p
 
 def test_a_measurement_of_another_program_needs_its_field_of_view(frames):
     file = write_npz(frames / "m.npz", phasors=np.stack([PHASOR, PHASOR.conj()]))
-    assert "nobody knows its field of view: give it" in refusal("night-eval", "capture", "check", file)
+    assert "has no record of an import beside it" in refusal("night-eval", "capture", "check", file)
     assert "conjugate? (image 000001)" in refusal("night-eval", "capture", "check", file, "--fov", 60)
     for own, given in (({}, ("--fov", 60)), ({"horizontal_fov_deg": 60.0}, ())):
         write_npz(file, phasors=PHASOR, **own)
