@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import product
 from typing import Final
 
@@ -14,19 +15,22 @@ from scenegen.corner_geometry import Frustum, Points, corners_of, crosses, dista
 from scenegen.depth_range import NO_MESHES, largest_radius_m, refuse_wrapping_depths
 from scenegen.geometry_check import CLEARANCE_M, possible_region
 from scenegen.pose import camera_axes, wall_normal
-from scenegen.preset import CameraSettings, Preset
-from scenegen.sampling import projector_of, walls_of
+from scenegen.preset import CameraSettings, CameraSpread, Preset
+from scenegen.sampling import projector_of, sample_scene, walls_of
 from scenegen.scene import Emitter, Wall
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
 
+_CAMERAS: Final = 6  # of those that are spread
+_PLACES: Final = 7  # along each side of the region; of 3, none may be both hidden and in the light
 _MOVE: Final = "move middle_wall.location_m or give it a smaller middle_wall.size_m"
 
 
 def refuse_impossible_corner(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> None:
     """Refuse a preset whose scenes cannot be, or cannot be rendered, wherever their objects are.
 
-    Where each scene has its camera elsewhere, the camera in the middle counts.
+    Where each scene has its camera elsewhere, one of several cameras must do; the sentence is about the one
+    in the middle.
 
     Parameters
     ----------
@@ -38,16 +42,25 @@ def refuse_impossible_corner(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
         or leave no gap; no light gets to the hidden region; its objects are behind the relay wall or in view;
         or the frequencies do not represent every depth (`refuse_wrapping_depths`).
     """
-    for problem in _problems(preset, meshes):
+    for problem in _behind(preset, walls_of(preset)[0]):
         raise PresetError(problem)
+    for problem in _problems(preset, meshes):
+        if all(any(_problems(corner, meshes)) for corner in _other_corners(preset)):
+            raise PresetError(problem)
+        break
     refuse_wrapping_depths(preset, meshes)
 
 
+def _other_corners(preset: Preset) -> Iterator[Preset]:
+    """The corners of some scenes, if each has its camera elsewhere."""
+    for index in range(0 if preset.is_one_corner else _CAMERAS):
+        yield replace(preset, camera=sample_scene(preset, index).camera, camera_spread=CameraSpread())
+
+
 def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]:
-    """Why the corner cannot be; a check may rely on those before it."""
+    """Why the corner cannot be; a check may rely on those before it, and on `_behind`."""
     relay, middle = walls_of(preset)
     camera, projector = preset.camera, projector_of(preset, preset.camera)
-    yield from _behind(preset, relay)
     seen = Frustum.of_camera(camera).points_on(relay)
     if not len(seen):
         yield _looks_elsewhere(camera, relay)
@@ -76,8 +89,8 @@ def _behind(preset: Preset, relay: Wall) -> Iterator[str]:
     if gap_m <= 0:
         spread = "" if preset.is_one_corner else ", moved by camera_spread.location_m,"
         yield (
-            f"camera.location_m{spread} is {-gap_m:g} m behind the front of the relay wall, which the camera "
-            "must see: move the camera or turn the wall with relay_wall.rotation_deg"
+            f"camera.location_m{spread} is {round(-gap_m, 6):zg} m behind the front of the relay wall, which "
+            "the camera must see: move the camera or turn the wall with relay_wall.rotation_deg"
         )
 
 
@@ -105,11 +118,16 @@ def _in_view(
     ranges, wider_m = preset.hidden_object.location_m, np.array([-margin_m, margin_m])
     box = np.array([ranges.x, ranges.y, ranges.z]) + wider_m  # (3, 2)
     for eye, who in ((preset.camera.location_m, "camera"), (projector.location_m, "projector")):
+        if abs(distances_m(middle, np.array([eye]))[0]) <= CLEARANCE_M:
+            yield (
+                f"the {who} at {list(eye)} is in the plane of the middle wall, which hides nothing from "
+                "there: move one of them"
+            )
         region = possible_region(relay, middle, eye)  # (6, 4)
         behind_m = -float(_most(region[:1], box)[0])
         if behind_m >= 0:
             yield (
-                f"hidden_object.location_m is at least {behind_m:.3g} m behind the front of the relay wall: "
+                f"hidden_object.location_m is at least {behind_m:.2g} m behind the front of the relay wall: "
                 "move it to where the wall faces"
             )
         if (_most(region, box) <= 0).any() or not _has_point(region, box):
@@ -134,7 +152,8 @@ def _has_point(region: Points, box: Points) -> bool:
 def _region(preset: Preset, radius_m: float, relay: Wall, middle: Wall) -> Points:
     """(N, 3) possible places in the box that objects of this radius may reach."""
     ranges = preset.hidden_object.location_m
-    sides = [np.linspace(low - radius_m, high + radius_m, 3) for low, high in (ranges.x, ranges.y, ranges.z)]
+    wider = ((low - radius_m, high + radius_m) for low, high in (ranges.x, ranges.y, ranges.z))
+    sides = [np.linspace(low, high, _PLACES) for low, high in wider]
     places = np.array(list(product(*sides)))
     region = possible_region(relay, middle, preset.camera.location_m)
     possible: Points = places[(places @ region[:, :3].T + region[:, 3] > 0).all(axis=1)]

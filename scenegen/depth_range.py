@@ -12,7 +12,7 @@ from scipy.constants import speed_of_light
 
 from disk.preset_files import PresetError
 from disk.quantities import Extent
-from scenegen.pose import wall_normal
+from scenegen.pose import mirror_image
 from scenegen.preset import HiddenObjectSettings, Preset
 from scenegen.sampling import walls_of
 from scenegen.shapes import Shape
@@ -64,9 +64,7 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
     as the camera itself, half the diagonal of its box is added. A mesh that is not in `meshes` counts as the
     cube of its longest side.
     """
-    wall, camera_m = walls_of(preset)[0], np.array(preset.camera.location_m)
-    normal = wall_normal(wall)
-    mirrored_m = camera_m - 2 * ((camera_m - wall.location_m) @ normal) * normal  # (3,)
+    mirrored_m = mirror_image(np.array(preset.camera.location_m), walls_of(preset)[0])  # (3,)
     settings = preset.hidden_object
     location = settings.location_m
     ranges = np.array([location.x, location.y, location.z])  # (3, 2)

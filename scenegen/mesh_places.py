@@ -9,15 +9,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from scenegen.corner_geometry import Points, corners_of
 from scenegen.mitsuba_description import hidden_names, mirrored_names
-from scenegen.pose import blender_matrix, wall_normal
+from scenegen.pose import mirror_image
 from scenegen.scene import HiddenObject, Scene
 from scenegen.shapes import PRIMITIVES
 from scenegen.triangles import scene_triangles
 from scenegen.unit_meshes import unit_mesh, unit_mesh_of_part
 
 _TOLERANCE: Final = 0.01  # of the longest side: twice what finer meshes of round primitives change
-_Points = NDArray[np.float64]
 
 
 def misplaced(scene: Scene, files: Mapping[str, bytes], folder: Path) -> str | None:
@@ -42,24 +42,21 @@ def misplaced(scene: Scene, files: Mapping[str, bytes], folder: Path) -> str | N
 def _errors(scene: Scene, files: Mapping[str, bytes], folder: Path) -> Iterator[tuple[str, float, float]]:
     """Name of each mesh, how far it is from where it should be, and its longest side; metres."""
 
-    def vertices(name: str) -> _Points:
+    def vertices(name: str) -> Points:
         return scene_triangles(files[name], str(folder / name))[0].astype(np.float64)
 
     for which in ("relay_wall", "middle_wall"):
         wall, name = getattr(scene, which), f"{which}.ply"
         if name in files:
-            square = np.array([[x, y, 0.0, 1.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
-            corners = square * [*wall.size_m, 0, 1] @ blender_matrix(wall.location_m, wall.rotation_deg)[:3].T
-            yield name, _farthest_m(corners, vertices(name)), max(wall.size_m)
+            yield name, _farthest_m(corners_of(wall), vertices(name)), max(wall.size_m)
     for object_name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
         name = f"{object_name}.ply"
         if name in files:
             yield name, _box_error_m(part, files[name], str(folder / name)), max(part.size_m)
-    normal, point = wall_normal(scene.relay_wall), np.array(scene.relay_wall.location_m)
     for image, name in mirrored_names(scene).items():
         if {f"{image}.ply", f"{name}.ply"} <= files.keys():
             seen = vertices(f"{name}.ply")
-            flipped = seen - 2 * ((seen - point) @ normal)[:, None] * normal
+            flipped = mirror_image(seen, scene.relay_wall)
             yield f"{image}.ply", _farthest_m(flipped, vertices(f"{image}.ply")), float(np.ptp(seen, 0).max())
 
 
@@ -77,16 +74,16 @@ def _box_error_m(part: HiddenObject, contents: bytes, origin: str) -> float:
     return float(max(off_m, np.linalg.norm(moved * size)))
 
 
-def _centroid(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> _Points:
+def _centroid(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Points:
     """(3,) centroid of a surface."""
     corners = vertices[triangles].astype(np.float64)  # (T, 3, 3)
     sides = corners[:, 1:] - corners[:, :1]
     area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    centroid: _Points = area @ corners.mean(axis=1) / max(area.sum(), 1e-300)
+    centroid: Points = area @ corners.mean(axis=1) / max(area.sum(), 1e-300)
     return centroid
 
 
-def _farthest_m(points: _Points, others: _Points) -> float:
+def _farthest_m(points: Points, others: Points) -> float:
     """Largest distance of a point of one set from the other set, both ways, metres."""
     from scipy.spatial import KDTree
 

@@ -35,6 +35,15 @@ def wall_normal(wall: Wall) -> NDArray[np.float64]:
     return normal
 
 
+def mirror_image(points: NDArray[np.float64], wall: Wall) -> NDArray[np.float64]:
+    """Points (..., 3) of world space where a mirror in a wall's plane shows them."""
+    normal = wall_normal(wall)
+    image: NDArray[np.float64] = (
+        points - 2 * ((points - np.array(wall.location_m)) @ normal)[..., None] * normal
+    )
+    return image
+
+
 def wall_geometry(camera: CameraSettings, wall: Wall) -> dict[str, Any]:
     """Camera and plane of a wall in world axes, as the fields of `itof.wall.wall_view.WallView`."""
     right, down, forward = (_vector(axis) for axis in camera_axes(camera))

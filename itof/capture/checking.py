@@ -188,14 +188,19 @@ def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
     record = read_import_record(file)
     if record is not None and record.sidecar.frequencies_hz != measured.frequencies_hz:
         record = None  # somebody has edited it
-    if record is not None and fov_deg is None:
+    own_deg = set(measured.fields_of_view_deg)
+    if fov_deg is None and len(own_deg) > 1:
+        raise CaptureError(
+            f"{file} has images with {len(own_deg)} fields of view: put those with the same into a file"
+        )
+    if fov_deg is None and own_deg:
+        (fov_deg,) = own_deg
+    if fov_deg is None and record is not None:
         fov_deg = record.facts.horizontal_fov_deg
-    if fov_deg is None and len(set(measured.fields_of_view_deg)) == 1:
-        fov_deg = measured.fields_of_view_deg[0]
     if fov_deg is None:
         raise CaptureError(
-            f"{file} has no record of an import beside it, so its field of view is not known: give it by "
-            "--fov, or give the sidecar of the raw frames"
+            f"{file} has no record of an import beside it, and no horizontal_fov_deg: give its field of view "
+            "by --fov, or give the sidecar of the raw frames"
         )
     problem = fov_problem(fov_deg)
     if problem:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -49,11 +50,18 @@ def _rendered_fov_deg(file: Path) -> float | None:
         return None
 
 
-def predictors_of(predictor: Predictor, measured: Measurement) -> tuple[Predictor, ...]:
-    """The network for each image, with its field of view; the same one for images of the same."""
-    geometry = predictor.config.geometry
-    made = {deg: predictor.at(geometry.with_fov(deg)) for deg in set(measured.fields_of_view_deg)}
-    return tuple(made[deg] for deg in measured.fields_of_view_deg) or (predictor,) * len(measured.phasors)
+def predictors_of(predictor: Predictor, measured: Measurement) -> Callable[[int], Predictor]:
+    """The network with the field of view of the image of an index.
+
+    Only the last one is kept: each has its wall's light, which is larger than the image.
+    """
+    views_deg, geometry = measured.fields_of_view_deg, predictor.config.geometry
+
+    @lru_cache(maxsize=1)
+    def seeing(view_deg: float) -> Predictor:
+        return predictor.at(geometry.with_fov(view_deg))
+
+    return lambda index: seeing(views_deg[index]) if views_deg else predictor
 
 
 def view_findings(trained: RunConfig, fields_of_view_deg: Iterable[float]) -> Iterator[Finding]:
@@ -62,7 +70,9 @@ def view_findings(trained: RunConfig, fields_of_view_deg: Iterable[float]) -> It
     for view_deg in fields_of_view_deg:
         if not least_deg - _SAME_DEG <= view_deg <= most_deg + _SAME_DEG:
             seen = f"{least_deg:.4g}" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g}"
-            words = f"the field of view is {view_deg:.4g} degrees, and the training saw {seen}: cut it out "
-            words += "of the image (capture import --fov), or use another network"
+            words = f"the field of view is {view_deg:.4g} degrees, and the training saw {seen}: "
+            words += "use another network"
+            if view_deg > most_deg:
+                words += f", or import the capture with --fov {most_deg:.4g}"
             yield Finding("other-view", words, True)
             return

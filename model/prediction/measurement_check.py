@@ -92,7 +92,7 @@ def check_measured(
     walls: list[WallSummary | None] = [None] * len(names)
     found: list[tuple[Finding, str | None]] = []  # with the image's name; None for the reference
     if measured.reference is not None:
-        found += [(finding, None) for finding in check_reference(measured.reference, seeing[0].wall)]
+        found += [(finding, None) for finding in check_reference(measured.reference, seeing(0).wall)]
     useless, most = sum(finding.refused for finding, _ in found), MOST_REFUSED
     if useless and not thorough:
         most = 0  # all images would be compared with a wrong reference
@@ -101,7 +101,7 @@ def check_measured(
             if useless > most and not thorough:
                 break
             seen = check_measurement(
-                *(measured.phasors[index], seeing[index].wall, measured.reference),
+                *(measured.phasors[index], seeing(index).wall, measured.reference),
                 self_calibrated=calibrated,
                 known_shift_m=predictor.config.inputs.largest_shift_m,
             )

@@ -49,7 +49,7 @@ class PredictedImage:
     @property
     def sentence(self) -> str:
         """The outcome as text."""
-        own = "; after a warning, no error can be expected" if self.doubted else ""
+        own = "; after the warning, its error is unknown" if self.doubted else ""
         own += "" if self.expected_mae_m is None else f"; expected MAE {_centimetres(self.expected_mae_m)}"
         own += "" if self.light is None else f"; {self.light.words}"
         own += "" if self.explanation is None else f"; {self.explanation.words}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -97,7 +97,7 @@ def predict_file(
     check = check_measured(predictor, measured, rescale=chosen, thorough=force, progress=progress)
     _refuse_implausible(check, measured, run, force)
     seeing = predictors_of(predictor, measured)
-    wall = None if measured.reference is None else seeing[0].found_wall(measured.reference)
+    wall = None if measured.reference is None else seeing(0).found_wall(measured.reference)
     with whole_folder(out) as folder:
         images = _predict_all(seeing, measured, check, chosen, folder, progress, refiner)
         doubts = [
@@ -136,7 +136,7 @@ def _refuse_implausible(check: MeasurementCheck, measured: Measurement, run: Pat
 
 
 def _predict_all(
-    seeing: Sequence[Predictor],
+    seeing: Callable[[int], Predictor],
     measured: Measurement,
     check: MeasurementCheck,
     rescale: bool,
@@ -145,7 +145,7 @@ def _predict_all(
     refiner: Refiner | None,
 ) -> tuple[PredictedImage, ...]:
     """Predict the images batch by batch, each with its field of view, and write their files."""
-    images, views_deg = [], [each.config.geometry.horizontal_fov_deg for each in seeing]
+    images, views_deg = [], measured.fields_of_view_deg
     attributes = {
         "generator": f"night-eval predict {version('night-nlos')}",
         "measurement": measured.path.name,
@@ -154,15 +154,15 @@ def _predict_all(
     with showing_progress(count, "image", "predict", show=progress) as bar:
         for start in range(0, count, BATCH):
             batch = measured.phasors[start : start + BATCH]  # (n, H, W, F)
-            several = views_deg[start : start + BATCH] if len(set(views_deg)) > 1 else []
+            several = views_deg[start : start + BATCH] if len(set(views_deg)) > 1 else ()
             try:
-                predictions = seeing[0].predict(
+                predictions = seeing(start).predict(
                     batch, measured.reference, rescale=rescale, fields_of_view_deg=several
                 )
             except InputError as error:
                 raise MeasurementError(f"{measured.path}, batch from image {start}: {error}") from None
             for index in range(len(batch)):
-                predictor, name = seeing[start + index], f"{start + index:06d}"
+                predictor, name = seeing(start + index), f"{start + index:06d}"
                 about = attributes | {"image": name}
                 found, own_m = _refined(predictor, predictions[index], batch[index], measured, refiner, name)
                 one = found.depth_map

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from disk import PathLike, whole_folder, write_text
 from itof import DepthMap, megahertz, phasor_channels, write_image
-from itof.capture.record import read_import_record
+from itof.capture.record import imported_fov_deg, read_import_record
 from itof.files.measurement_files import Measurement, read_measurement
 from itof.files.measurement_writing import ENDINGS
 from itof.light import OFFSET_STD_RAD
@@ -175,19 +175,20 @@ def _read(folder: Path, preset: Preset) -> tuple[Measurement, Measurement]:
                 f"{folder} must hold one {name}.npz (or .h5) as night-eval capture import writes it; there "
                 f"is {there}"
             )
-        _refuse_other_view(files[0], preset)
         found.append(read_measurement(files[0]).at(preset.itof.frequencies_hz))
+        _refuse_other_view(found[-1], preset)
     return found[0], found[1]
 
 
-def _refuse_other_view(file: Path, preset: Preset) -> None:
-    """Refuse a capture whose record has another field of view than the preset's camera."""
-    record, fov_deg = read_import_record(file), preset.camera.horizontal_fov_deg
-    if record is not None and abs(record.facts.horizontal_fov_deg - fov_deg) > _SAME_DEG:
-        raise MirrorError(
-            f"{file} is {record.facts.horizontal_fov_deg:.2f} degrees wide and the camera of the preset "
-            f"{fov_deg:g}: import it with --fov {fov_deg:g}, or change the preset"
-        )
+def _refuse_other_view(measured: Measurement, preset: Preset) -> None:
+    """Refuse a capture with another field of view than the preset's camera, as far as it is known."""
+    imported_deg, wanted_deg = imported_fov_deg(measured.path), preset.camera.horizontal_fov_deg
+    for fov_deg in measured.fields_of_view_deg or ([] if imported_deg is None else [imported_deg]):
+        if abs(fov_deg - wanted_deg) > _SAME_DEG:
+            raise MirrorError(
+                f"{measured.path} is {fov_deg:.2f} degrees wide and the camera of the preset "
+                f"{wanted_deg:g}: import it with --fov {wanted_deg:g}, or change the preset"
+            )
 
 
 def _only_size(

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from disk import PathLike, whole_file
+from disk import PathLike
+from itof.pictures.png import save_png
+from render.products.conversion import ExportError, exported_file
 from scenegen import Preset
 from scenegen.corner_geometry import Frustum, Points, corners_of, distances_m, lit_points, local
 from scenegen.depth_range import NO_MESHES, largest_mirrored_depth_m, largest_radius_m
@@ -62,11 +64,11 @@ class CornerFacts:
         """The facts as text."""
         shares = (f"{100 * part:.0f} %" for part in (self.relay_wall, self.middle_wall, self.nothing))
         gap = f"the gap between the walls is {self.gap_m:.2f} m wide"
-        if self.gap_m <= 0:
-            gap = f"there is no gap: the middle wall ends {-self.gap_m:.2f} m behind the relay wall"
+        if self.gap_m < 0.005:
+            gap = f"the middle wall reaches {max(-self.gap_m, 0):.2f} m behind the plane of the relay wall"
         return (
             "of the image, {} show the relay wall, {} the middle wall, {} nothing".format(*shares),
-            f"the camera is {self.camera_m:.2f} m from the relay wall",
+            f"the camera is {self.camera_m:z.2f} m from the relay wall",
             "{:.2f} x {:.2f} m of the relay wall are seen and lit".format(*self.lit_m),
             gap,
             "the centres of hidden objects are {:.2f} to {:.2f} m from the relay wall".format(*self.region_m),
@@ -95,7 +97,7 @@ def corner_facts(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -
         farthest_m=largest_mirrored_depth_m(preset, meshes),
         relay_wall=shares[0],
         middle_wall=shares[1],
-        nothing=1 - sum(shares),
+        nothing=float(1 - sees.mean()),
         lit_m=(float(x_m), float(y_m)),
     )
 
@@ -105,11 +107,13 @@ def write_corner(preset: Preset, file: PathLike, meshes: Mapping[Shape, UnitMesh
 
     Raises
     ------
-    OSError : the file cannot be written.
+    ExportError : `file` is not a .png file or cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    if Path(file).suffix.lower() != ".png":
+        raise ExportError(f"the picture of a corner is a .png file: cannot write {file}")
     facts = corner_facts(preset, meshes)
     figure = Figure(figsize=(11, 7), layout="constrained")
     FigureCanvasAgg(figure)
@@ -119,12 +123,12 @@ def write_corner(preset: Preset, file: PathLike, meshes: Mapping[Shape, UnitMesh
     draw = _Drawing(preset, facts)
     draw.view(plan, np.eye(3)[:2], "from above", ("x, m", "y, m"))
     onto = np.array([[*across, 0.0], [0.0, 0.0, 1.0]])
-    draw.view(side, onto, "from the side", ("from the relay wall into the room, m", "z, m"))
+    draw.view(side, onto, "from the side", ("into the room, m", "z, m"))
     handles, names = plan.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle("\n".join(facts.sentences), fontsize=10)
-    with whole_file(Path(file)) as partial:
-        figure.savefig(partial, format="png", dpi=_DOTS_PER_INCH)
+    with exported_file(file) as partial:
+        save_png(figure, partial, _DOTS_PER_INCH)
     return facts
 
 
@@ -147,7 +151,7 @@ class _Drawing:
         eye, radius_m = np.array(camera.location_m), facts.radius_m
         _outline(axes, corners_of(relay) @ onto.T, _RELAY, "relay wall", width=3)
         _outline(axes, corners_of(middle) @ onto.T, _MIDDLE, "middle wall", width=3)
-        _outline(axes, _box(self.preset, radius_m) @ onto.T, _HIDDEN, "that objects may reach", style=":")
+        _outline(axes, _box(self.preset, radius_m) @ onto.T, _HIDDEN, "reach of hidden objects", style=":")
         _outline(axes, _box(self.preset) @ onto.T, _HIDDEN, "centres of hidden objects", filled=True)
         lit = lit_points(camera, projector_of(self.preset, camera), relay, middle)
         shown = np.random.default_rng(0).permutation(lit)[:_SHOWN] @ onto.T

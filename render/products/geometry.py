@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from disk.plain_file import read_plain
 from itof import pixel_rays
-from scenegen import Dataset, camera_axes, wall_normal
+from scenegen import Dataset, camera_axes
+from scenegen.pose import mirror_image
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.triangles import scene_triangles
 
@@ -36,16 +37,15 @@ def traced_depth_m(
     rays = pixel_rays(width, height, scene.camera.horizontal_fov_deg)[rows, columns]
     directions = rays @ camera_axes(scene.camera)  # (N, 3)
     origin = np.array(scene.camera.location_m)
-    normal, point = wall_normal(scene.relay_wall), np.array(scene.relay_wall.location_m)
     folder = dataset.scene_folder(scene_id)
     nearest = np.full(len(rows), np.inf)
     for number in range(len(scene.hidden_objects)):
         corners = _triangles(folder / f"hidden_object_{number}.ply")
-        mirrored = corners - 2 * ((corners - point) @ normal)[..., None] * normal
-        nearest = np.minimum(nearest, _first_hits(origin, directions, mirrored))
+        image = mirror_image(corners, scene.relay_wall)
+        nearest = np.minimum(nearest, _first_hits(origin, directions, image))
     walls = _triangles(folder / "middle_wall.ply")
     if scene.mirror_occluders:
-        walls = np.concatenate([walls, walls - 2 * ((walls - point) @ normal)[..., None] * normal])
+        walls = np.concatenate([walls, mirror_image(walls, scene.relay_wall)])
     blocked = _first_hits(origin, directions, walls) < nearest
     return np.where(np.isinf(nearest) | blocked, 0.0, nearest)
 

@@ -15,6 +15,7 @@ from itof import WIDEST_REACH_BINS, TransientLayout, pixel_rays
 from render.settings import RenderError
 from scenegen import Dataset, Scene, camera_axes, rotation_matrix, wall_normal
 from scenegen.mitsuba_description import hidden_names
+from scenegen.pose import mirror_image
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.triangles import scene_triangles
 
@@ -59,8 +60,7 @@ def hidden_start_m(dataset: Dataset, scene: Scene, layout: TransientLayout, row:
     corners_m = (camera_m + depths_m[..., None] * directions).reshape(4, 3)
     middle_m = corners_m.mean(axis=0)
     extent_m = np.linalg.norm(corners_m - middle_m, axis=-1).max()
-    normal, emitter_m = wall_normal(scene.relay_wall), np.array(scene.emitter.location_m)
-    image_m = emitter_m - 2 * ((emitter_m - scene.relay_wall.location_m) @ normal) * normal
+    image_m = mirror_image(np.array(scene.emitter.location_m), scene.relay_wall)
     way_m = _shortest_way_m(_object_triangles(dataset, scene), image_m, middle_m, layout.bin_width_m)
     return way_m - extent_m + float(depths_m.min())
 

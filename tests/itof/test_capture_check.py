@@ -284,12 +284,12 @@ def test_a_measurement_of_another_program_needs_its_field_of_view(frames):
     file = write_npz(frames / "m.npz", phasors=np.stack([PHASOR, PHASOR.conj()]))
     assert "has no record of an import beside it" in refusal("night-eval", "capture", "check", file)
     assert "conjugate? (image 000001)" in refusal("night-eval", "capture", "check", file, "--fov", 60)
-    write_npz(file, phasors=PHASOR)
-    done = night_here("night-eval", "capture", "check", file, "--fov", 60, "--json")
-    assert json.loads(done.stdout)["findings"] == []
-    write_npz(file, phasors=PHASOR, horizontal_fov_deg=60.0)
-    done = night_here("night-eval", "capture", "check", file, "--json")
-    assert json.loads(done.stdout)["findings"] == []
+    for own, given in (({}, ("--fov", 60)), ({"horizontal_fov_deg": 60.0}, ())):
+        write_npz(file, phasors=PHASOR, **own)
+        done = night_here("night-eval", "capture", "check", file, *given, "--json")
+        assert json.loads(done.stdout)["findings"] == []
+    write_npz(file, phasors=np.stack([PHASOR, PHASOR]), horizontal_fov_deg=[60.0, 61.0])
+    assert "has images with 2 fields of view: put" in refusal("night-eval", "capture", "check", file)
     assert "raw frames and their options need --sidecar" in refusal(
         "night-eval", "capture", "check", file, "--fov", 60, "--bin", 2
     )

@@ -104,7 +104,7 @@ def test_no_error_is_expected_after_a_warning(tmp_path):
     done = predict_file("night-40x30", file, tmp_path / "out", force=True, device="cpu", progress=False)
     (doubtful,) = done.images
     assert (doubtful.expected_mae_m, doubtful.expected_depth_error_m) == (None, None)
-    assert "after a warning, no error can be expected" in doubtful.sentence
+    assert "after the warning, its error is unknown" in doubtful.sentence
     assert "expected MAE" not in doubtful.sentence
     one = replace(doubtful, expected_mae_m=0.01, doubted=False)
     moved = replace(done.check, findings=(FileFinding("wall-moved", "it is", False, ("000001",)),))

@@ -26,7 +26,8 @@ def scenes(root, **camera) -> Dataset:
 @pytest.mark.parametrize(
     ("camera", "words"),
     [
-        ({"horizontal_fov_deg": 70.0}, "the field of view is 70 degrees, and the training saw 60"),
+        ({"horizontal_fov_deg": 70.0}, "60: use another network, or import the capture with --fov 60"),
+        ({"horizontal_fov_deg": 50.0}, "is 50 degrees, and the training saw 60: use another network; "),
         ({"location_m": [AT[0] + 0.3, *AT[1:]]}, "the wall is not where the run has it, but 30.0 cm farther"),
         (
             {"rotation_deg": [90.0, 0.0, 70.0]},

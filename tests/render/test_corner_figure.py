@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from night_commands import night_here
+from night_commands import night_here, refusal
 
 from render.products.corner_figure import corner_facts
 from scenegen import load_preset, preset_from_dict
@@ -42,6 +42,11 @@ def test_a_camera_that_looks_past_the_edge_of_a_wall_sees_nothing_there():
     assert facts.relay_wall + facts.middle_wall + facts.nothing == pytest.approx(1)
 
 
+def test_a_middle_wall_that_touches_the_relay_wall_leaves_no_gap():
+    facts = corner_facts(preset_from_dict({"middle_wall": {"location_m": [1.65, 0.0, 2.0]}}, "test"))
+    assert "the middle wall reaches 0.00 m behind the plane of the relay wall" in facts.sentences
+
+
 def test_the_command_draws_a_corner_and_refuses_one_that_cannot_be_after_that(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = night_here("night-gen", "corner", "paper", "--json")
@@ -51,7 +56,8 @@ def test_the_command_draws_a_corner_and_refuses_one_that_cannot_be_after_that(tm
     (tmp_path / "closed.toml").write_text("[middle_wall]\nlocation_m = [1.6, 0.0, 2.0]\n")
     refused = night_here("night-gen", "corner", "closed.toml", "--out", "picture.png")
     assert refused.returncode == 2
-    assert "there is no gap: the middle wall ends 0.05 m behind the relay wall" in refused.stdout
+    assert "the middle wall reaches 0.05 m behind the plane of the relay wall" in refused.stdout
     assert "the middle wall crosses the relay wall" in refused.stderr
+    assert "is a .png file" in refusal("night-gen", "corner", "paper", "--out", "closed.toml")
     pictures = {file.name for file in tmp_path.iterdir() if file.read_bytes().startswith(b"\x89PNG")}
     assert pictures == {"paper_corner.png", "picture.png"}

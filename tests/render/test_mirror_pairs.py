@@ -312,6 +312,9 @@ def test_folders_that_are_no_pairs_are_refused_in_a_sentence(pair_folders, tmp_p
         import_capture(frames, sidecar, imported / f"{name}.npz")
     said = refusal(*basis, imported, "--preset", wide, *rest[2:])
     assert "is 60.00 degrees wide and the camera of the preset 70" in said
+    np.savez(small / "measurement.npz", **values, horizontal_fov_deg=61.0)
+    assert "is 61.00 degrees wide and the camera of the preset 60" in refusal(*basis, small, *rest)
+    np.savez(small / "measurement.npz", **values)
     (small / "mirror.npz").write_bytes(b"PK")
     assert "mirror.npz cannot be read" in refusal(*basis, small, *rest)
     there = tmp_path / "there"

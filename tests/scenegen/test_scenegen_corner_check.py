@@ -54,11 +54,19 @@ IMPOSSIBLE = {
     ),
     "objects behind the relay wall": (
         {"hidden_object": {"location_m": {"x": [-1.0, -0.3]}}},
-        r"hidden_object.location_m is at least 0.301 m behind the front of the relay wall: move it",
+        r"hidden_object.location_m is at least 0.3 m behind the front of the relay wall: move it",
     ),
     "objects in view of the camera": (
         {"hidden_object": {"location_m": {"y": [-0.9, -0.5]}}},
         r"the camera at \[1.0, -1.0, 1.65\] sees every place of hidden_object.location_m beside the middle",
+    ),
+    "a camera in the middle wall": (
+        {"camera": {"location_m": [1.0, 0.0, 1.65]}},
+        r"the camera at \[1.0, 0.0, 1.65\] is in the plane of the middle wall, which hides nothing",
+    ),
+    "a camera on the relay wall": (
+        {"camera": {"location_m": [0.0, -1.0, 1.65]}},
+        r"camera.location_m is 0 m behind the front of the relay wall",
     ),
     "objects in view of the projector": (
         {"projector": {"location_m": [1.0, 2.5, 1.65], "rotation_deg": [90.0, 0.0, 130.0]}},
@@ -103,6 +111,33 @@ def test_light_may_also_go_over_a_wall_that_leaves_no_gap():
     preset = preset_from_dict({"middle_wall": low, "hidden_object": hidden, "camera": camera}, "test")
     refuse_impossible_corner(preset)
     sample_valid_scene(preset, 0, refusal_of)
+
+
+def test_light_on_a_part_of_the_region_is_enough():
+    """The places that the camera sees and those in the dark are most of this region."""
+    tables = {
+        "middle_wall": {"size_m": [3.4, 2.1], "location_m": [2.0, 0.0, 2.0]},
+        "camera": {"location_m": [0.4, -1.5, 1.6], "rotation_deg": [90, 0, 65], "horizontal_fov_deg": 40},
+        "hidden_object": {
+            "location_m": {"x": [0.3, 1.7], "y": [0.2, 1.5], "z": [1.6, 1.6]},
+            "size_m": {"cube": [0.2, 0.2, 0.2]},
+        },
+    }
+    tables["hidden_object"] |= {"shapes": ["cube"], "composite_fraction": 0.0}
+    preset = preset_from_dict(tables, "test")
+    refuse_impossible_corner(preset)
+    sample_valid_scene(preset, 0, refusal_of)
+
+
+def test_of_cameras_that_are_spread_the_one_in_the_middle_may_see_the_region():
+    """It sees past the edge of the middle wall, and cameras that are farther from the relay wall do not."""
+    hidden = {"location_m": {"x": [0.55, 0.58], "y": [0.3, 0.3]}, "size_m": {"cube": [0.05, 0.05, 0.05]}}
+    hidden |= {"shapes": ["cube"], "composite_fraction": 0.0}
+    with pytest.raises(PresetError, match="sees every place"):
+        refuse_impossible_corner(preset_from_dict({"hidden_object": hidden}, "test"))
+    spread = preset_from_dict({"hidden_object": hidden, "camera_spread": {"location_m": 0.5}}, "test")
+    refuse_impossible_corner(spread)
+    sample_valid_scene(spread, 0, refusal_of)
 
 
 def test_a_spot_is_enough_light():
