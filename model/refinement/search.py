@@ -19,7 +19,7 @@ from scenegen.scene import HiddenObject, RelayWall, Scene
 from scenegen.shapes import Shape
 
 _SAME_M: Final = 0.001  # two fits whose mirror images differ by less are one
-_CERTAIN: Final = 0.0025  # a fit that leaves less unexplained ends the search
+_CERTAIN: Final = 0.003  # a fit that leaves less unexplained ends the search
 _LIKELY: Final = 2.5  # so does one with less evidence against it
 _ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _FINE_STEPS, _WALLS = 6, 2

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -34,13 +33,23 @@ def turn_projector_round(folder):
 def put_object_before_camera(folder):
     camera = json.loads((folder / "scene.json").read_text())["camera"]
     angle = np.radians(camera["rotation_deg"][2])
-    place = np.array(camera["location_m"]) + 0.7 * np.array([-np.sin(angle), np.cos(angle), 0])
-    mesh = trimesh.load(folder / "hidden_object_0.ply")
-    mesh.apply_translation(place - mesh.bounds.mean(axis=0)).export(folder / "hidden_object_0.ply")
+    put_object(folder, np.array(camera["location_m"]) + 0.7 * np.array([-np.sin(angle), np.cos(angle), 0]))
 
 
 def put_object_behind_relay_wall(folder):  # where no light goes
-    shutil.copy(folder / "mirrored_hidden_object_0.ply", folder / "hidden_object_0.ply")
+    scene = json.loads((folder / "scene.json").read_text())
+    put_object(folder, np.array(scene["hidden_objects"][0]["location_m"]) * [-1, 1, 1])
+
+
+def put_object(folder, place_m):
+    """Move the object and its mirror image to another place; the relay wall is the plane x = 0."""
+    scene = json.loads((folder / "scene.json").read_text())
+    (part,) = scene["hidden_objects"]
+    by_m = place_m - part["location_m"]
+    part["location_m"] = place_m.tolist()
+    (folder / "scene.json").write_text(json.dumps(scene))
+    for name, moved_m in (("hidden_object_0.ply", by_m), ("mirrored_hidden_object_0.ply", by_m * [-1, 1, 1])):
+        trimesh.load(folder / name).apply_translation(moved_m).export(folder / name)
 
 
 @pytest.mark.parametrize(
