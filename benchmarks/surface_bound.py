@@ -26,10 +26,11 @@ from scipy.special import sph_harm_y
 
 from itof import phase_per_metre, pixel_rays
 from itof.wall.wall_view import WallView
+from model.refinement.evidence import INDEPENDENT
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.light.corner_light import Mirror
 from render.batch.candidates import CandidateLight
-from scenegen.pose import camera_axes, rotation_matrix, wall_geometry, wall_normal
+from scenegen.pose import camera_axes, rotation_matrix, wall_geometry
 from scenegen.preset import load_preset
 from scenegen.sampling import sample_scene
 from scenegen.scene import Scene
@@ -39,7 +40,6 @@ HZ = (20e6, 50e6, 60e6)
 WIDTH, HEIGHT = 40, 30
 FILM = (12, 9)  # points that the projector lights
 MIDDLE_M, RADII, DEGREE = 0.015, 0.08, 6  # of the prior; the deviation of the degree l is RADII / (l + 1)
-INDEPENDENT = 14  # values in the errors of a model
 ERRORS = (0.02, 0.01, 0.002)
 STEP = 0.1  # of the differences, in deviations of the prior
 DRAWS = 24
@@ -212,11 +212,8 @@ class Occluder:
 
 
 def plane_per_m(scene: Scene) -> Floats:
-    """(3,) the relay wall m in camera axes: its points p have m · p = 1."""
-    axes, normal = camera_axes(scene.camera), wall_normal(scene.relay_wall)
-    gap = np.asarray(scene.relay_wall.location_m) - scene.camera.location_m
-    plane: Floats = axes @ normal / (normal @ gap)
-    return plane
+    """(3,) the relay wall in camera axes, 1/m."""
+    return WallView(**wall_geometry(scene.camera, scene.relay_wall)).plane_per_m
 
 
 def film_rays(scene: Scene) -> tuple[Floats, Floats]:

@@ -62,11 +62,7 @@ class ExpectedWall(Generic[A]):
         ------
         ValueError : the camera is in the plane of the wall.
         """
-        normal = np.asarray(wall_normal, dtype=np.float64)
-        gap = (np.asarray(wall_point_m, dtype=np.float64) - np.asarray(camera_location_m)) @ normal
-        if gap == 0:
-            raise ValueError("the camera is in the plane of the wall")
-        plane_per_m = np.asarray(camera_axes, dtype=np.float64) @ normal / gap  # m · r = 1 / L
+        plane_per_m = plane_of(camera_axes, camera_location_m, wall_point_m, wall_normal)
         height, width = direct.shape[:2]
         rays = pixel_rays(width, height, horizontal_fov_deg)
         return ExpectedWall(tuple(frequencies_hz), direct, rays, plane_per_m)
@@ -195,6 +191,23 @@ def strength_elsewhere(expected_depth_m: A, depth_m: A) -> A:
     xp = array_namespace(depth_m)
     share = xp.clip(expected_depth_m / depth_m, max=_NEAREST)
     return share * share * share
+
+
+def plane_of(
+    camera_axes: ArrayLike, camera_location_m: ArrayLike, wall_point_m: ArrayLike, wall_normal: ArrayLike
+) -> Floats:
+    """(3,) the plane m of a wall, 1/m in camera axes; the parameters as in `itof.direct_phasors`.
+
+    Raises
+    ------
+    ValueError : the camera is in the plane.
+    """
+    normal = np.asarray(wall_normal, dtype=np.float64)
+    gap = (np.asarray(wall_point_m, dtype=np.float64) - np.asarray(camera_location_m)) @ normal
+    if gap == 0:
+        raise ValueError("the camera is in the plane of the wall")
+    plane: Floats = np.asarray(camera_axes, dtype=np.float64) @ normal / gap  # m · r = 1 / L
+    return plane
 
 
 def radial_depth_of_plane(rays: A, plane_per_m: A) -> A:

@@ -13,8 +13,8 @@ from disk import NightError
 from disk.contract import STRICT
 from disk.quantities import FieldOfView, Vector
 from itof import direct_phasors
-from itof.arrays import Phasors
-from itof.wall.expected_wall import ExpectedWall
+from itof.arrays import Floats, Phasors
+from itof.wall.expected_wall import ExpectedWall, plane_of
 
 
 class WallPlaceError(NightError):
@@ -53,11 +53,17 @@ class WallView:
             height,
             self.horizontal_fov_deg,
             frequencies_hz,
-            self.camera_axes,
-            self.camera_location_m,
-            self.wall_point_m,
-            self.wall_normal,
+            *self._pose,
         )
+
+    @property
+    def plane_per_m(self) -> Floats:
+        """(3,) the wall's plane in camera axes, 1/m; ValueError if the camera is in it."""
+        return plane_of(*self._pose)
+
+    @property
+    def _pose(self) -> tuple[tuple[Vector, Vector, Vector], Vector, Vector, Vector]:
+        return self.camera_axes, self.camera_location_m, self.wall_point_m, self.wall_normal
 
     def expected_wall(self, direct: Phasors, frequencies_hz: Sequence[float]) -> ExpectedWall:
         """The wall with its direct return (H, W, F), computed or captured.
@@ -66,8 +72,7 @@ class WallView:
         ------
         WallPlaceError : the camera is in the plane of the wall.
         """
-        pose = (self.camera_axes, self.camera_location_m, self.wall_point_m, self.wall_normal)
         try:
-            return ExpectedWall.of_camera(direct, frequencies_hz, self.horizontal_fov_deg, *pose)
+            return ExpectedWall.of_camera(direct, frequencies_hz, self.horizontal_fov_deg, *self._pose)
         except ValueError as error:
             raise WallPlaceError(f"the relay wall cannot be where it is: {error}") from None

@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from itof import pixel_rays
-from itof.arrays import Floats
 from itof.wall.expected_wall import angle_deg, distance_m, radial_depth_of_plane
 from itof.wall.finding import Finding
 from itof.wall.plausibility import elsewhere, shift_words
@@ -58,17 +57,10 @@ def _findings(trained: RunConfig, dataset: Dataset, scene: Scene) -> Iterator[Fi
     seen_m, is_one_corner = trained.inputs.largest_shift_m, dataset.preset.is_one_corner
     camera = scene.camera if seen_m or is_one_corner else dataset.preset.camera
     view = WallView(**wall_geometry(camera, scene.relay_wall))
-    own, known = _plane_per_m(view), _plane_per_m(trained.geometry)
+    own, known = view.plane_per_m, trained.geometry.plane_per_m
     rays = pixel_rays(*_GRID, view.horizontal_fov_deg)
     depth_m, known_m = radial_depth_of_plane(rays, own), radial_depth_of_plane(rays, known)
     ahead = np.isfinite(depth_m) & np.isfinite(known_m)
     shift_m = float(np.abs(depth_m - known_m)[ahead].mean()) if ahead.any() else np.inf
     words = shift_words(distance_m(own) - distance_m(known), angle_deg(own, known))
     yield from elsewhere(shift_m, words, "the run", seen_m)
-
-
-def _plane_per_m(view: WallView) -> Floats:
-    """(3,) the wall's plane in camera axes, 1/m."""
-    normal, gap_m = np.array(view.wall_normal), np.subtract(view.wall_point_m, view.camera_location_m)
-    plane: Floats = np.array(view.camera_axes) @ normal / (gap_m @ normal)
-    return plane

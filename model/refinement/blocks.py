@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 _PARTS: Final = (4, 3, 2)  # of a block along each side, the first that fits
-_LARGE: Final = 8  # blocks are multiples of four pixels
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class Blocks:
     def of(cls, height: int, rows: int) -> Blocks:
         """About so many rows of blocks in an image of this height."""
         size = max(1, height // rows)
-        return cls(size if size < _LARGE else size // 4 * 4)
+        return cls(size if size < 2 * _PARTS[0] else size // _PARTS[0] * _PARTS[0])
 
     @property
     def parts(self) -> int:

@@ -29,7 +29,7 @@ _WITH_FEW_NODES: Final = 0.006  # the same, of light with few nodes
 USUAL_M: Final = 0.02  # D of a network that expects none
 _LEAST_M: Final = 0.005  # of D
 # Independent values in the errors of a model. Chosen so that stated errors are the actual ones.
-_SMOOTH: Final = 14
+INDEPENDENT: Final = 14
 _OF_A_POSE: Final = 7  # unknowns of a solid, and the roughness of the wall
 # One of seven scenes has two solids, and each of six unknowns lowers a chi-squared by one, by chance.
 _OF_ANOTHER: Final = 2 * math.log(6) + 6
@@ -99,10 +99,9 @@ class Spread:
         ((unknowns, jacobian),) = jacobians([fit], fitted)
         observed = fit.comparison.observed
         model = max(fit.unexplained, USUAL_MISFIT) ** 2 * float(observed.values @ observed.values)
-        reach = np.array(
-            [FARTHEST[unknown.kind] for unknown in unknowns]
-        )  # what light does not tell is not far
-        information = jacobian.T @ jacobian / (observed.noise**2 + model / _SMOOTH) + np.diag(reach**-2)
+        # What the light does not tell of a solid is not far all the same.
+        reach = np.array([FARTHEST[unknown.kind] for unknown in unknowns])
+        information = jacobian.T @ jacobian / (observed.noise**2 + model / INDEPENDENT) + np.diag(reach**-2)
         covariance = np.linalg.inv(information)
         draws = np.random.default_rng(seed).multivariate_normal(
             np.zeros(len(covariance)), covariance, _DRAWS, method="eigh"
@@ -123,7 +122,7 @@ class Spread:
     def freedom(self) -> float:
         """Misfit that these unknowns leave of errors of the model, over that which those of a pose leave."""
         count = sum(unknown.kind != "room" for unknown in self.unknowns) + self.is_dim
-        return math.sqrt(max(_SMOOTH - count, 1) / (_SMOOTH - _OF_A_POSE))
+        return math.sqrt(max(INDEPENDENT - count, 1) / (INDEPENDENT - _OF_A_POSE))
 
     def of(self, kind: str, part: int) -> Floats:
         """(n,) standard deviations of one kind of unknowns of one of the solids."""

@@ -19,7 +19,7 @@ from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
 _FILM_LEVELS: Final = {True: 3, False: 1}  # by `fine`
-_FINER: Final = (3, 3)  # levels of the surface points with `fine`, of one object and of several
+_FINER: Final = 3  # levels of the surface points with `fine`
 _Parted = TypeVar("_Parted", Sequence[Scene], NDArray[np.float64])
 _AT_ONCE: Final = 2**18  # pixels, for the memory
 
@@ -113,8 +113,7 @@ class CandidateLight:
     ) -> NDArray[np.complex128]:
         count = len(scenes)
         ready, every = self._world.scenes(scenes, self._frequencies_hz), np.arange(count)
-        finer = [fine * _FINER[len(scene.hidden_objects) > 1] for scene in scenes]
-        surface = np.array([first_level(scene) for scene in scenes]) + finer
+        surface = np.array([first_level(scene) for scene in scenes]) + fine * _FINER
         levels = surface, np.full(count, _FILM_LEVELS[fine])
         return ratios(ready, every, *levels, _seen(ready, rays), self._world.meshes).reshape(
             count, len(rays), -1
