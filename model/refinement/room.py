@@ -9,12 +9,13 @@ import numpy as np
 
 from disk import NightError
 from itof.wall.expected_wall import ExpectedWall
-from model.refinement.light.corner_light import CornerLight, Floats, with_wall_at
+from model.refinement.light.corner_light import CornerLight, Floats, vector, with_wall_at
 from scenegen import Preset, sample_scene
 from scenegen.pose import camera_axes, wall_normal
 from scenegen.scene import Camera, Scene
 
 _ELSEWHERE_M = 100.0  # behind the camera: a middle wall that hides nothing
+_FARTHEST_M = 100.0  # along a ray, of what is seen of a wall
 _OTHER_DEG, _OTHER_RATIO = 30.0, 1.5  # of the wall in the room and in the measurement
 
 
@@ -44,7 +45,19 @@ def corner_of(room: Preset | None, wall: ExpectedWall, horizontal_fov_deg: float
         return replace(scene, camera=replace(scene.camera, **here))
     camera = Camera(**here, location_m=(0, 0, 0), rotation_deg=(90, 0, 0))
     nowhere = replace(scene.middle_wall, size_m=(1e-3, 1e-3), location_m=(0, -_ELSEWHERE_M, 0))
-    return with_wall_at(replace(scene, camera=camera, middle_wall=nowhere), plane)
+    middle_m, radius_m = _seen(wall, camera_axes(camera))
+    relay = replace(scene.relay_wall, location_m=vector(middle_m), size_m=(2 * radius_m,) * 2)
+    return with_wall_at(replace(scene, camera=camera, relay_wall=relay, middle_wall=nowhere), plane)
+
+
+def _seen(wall: ExpectedWall, axes: Floats) -> tuple[Floats, float]:
+    """(3,) middle of what the camera at 0 sees of a wall, in world axes, and how far it reaches, metres."""
+    rays = wall.rays.reshape(-1, 3)
+    along = rays @ wall.plane_per_m
+    near = along > 1 / _FARTHEST_M
+    points_m = (rays[near] / along[near, None]) @ axes
+    middle_m: Floats = (points_m.min(axis=0) + points_m.max(axis=0)) / 2
+    return middle_m, 1.1 * float(np.linalg.norm(points_m - middle_m, axis=1).max())
 
 
 def refuse_unseen_wall(corner: Scene, rays: Floats, light: CornerLight) -> None:

@@ -10,7 +10,11 @@ from render_runs import render_scenes
 
 import model
 from itof import DepthMap, read_image
+from itof.wall.expected_wall import ExpectedWall
+from model.refinement.light.corner_light import CornerLight
+from model.refinement.room import corner_of
 from scenegen import preset_from_dict
+from scenegen.pose import camera_axes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 RUN = "night-40x30"
@@ -96,6 +100,17 @@ def test_a_room_may_be_off_by_centimetres(dataset, measured, tmp_path):
     assert found.accepted
     moved_m = np.array(found.solids[0].location_m) - true.location_m
     np.testing.assert_allclose(moved_m, [0, 0.02, 0], atol=0.01)  # with the camera, along the wall
+
+
+@pytest.mark.parametrize("turned_deg", [0, 25])
+def test_without_a_room_all_of_the_image_shows_the_relay_wall(turned_deg):
+    angle = np.radians(turned_deg)
+    normal = np.array([0.6 * np.cos(angle), 0.6 * np.sin(angle), 0.8])
+    wall = ExpectedWall.of_plane(normal / 1.3, 16, 12, (20e6, 50e6), 60.0)
+    corner = corner_of(None, wall, 60.0)
+    assert CornerLight((20e6,)).sees_wall([corner], wall.rays.reshape(-1, 3)).all()
+    place = np.array(corner.relay_wall.location_m) - corner.camera.location_m
+    assert camera_axes(corner.camera) @ place @ wall.plane_per_m == pytest.approx(1)
 
 
 def test_the_picture_shows_what_the_solid_leaves(refined):
