@@ -176,7 +176,7 @@ def scene_numbers(result: SceneResult) -> dict[str, str | float | None]:
         "object_class": result.object_class,
         "composite": int(result.is_composite),
         "roughness": result.roughness,
-        **dict(zip(("x_m", "y_m", "z_m"), result.location_m, strict=True)),
+        **dict(zip(("x_m", "y_m", "z_m"), result.location_m or (None,) * 3, strict=True)),
         "object_pixels": result.object_pixels,
         "object_distance_m": result.object_distance_m,
         **asdict(result.prediction),

@@ -171,10 +171,11 @@ class World:
         counts = np.array([len(scene.hidden_objects) for scene in scenes])
         first = np.concatenate([[0], np.cumsum(counts)])
         shadowing = [_can_be_in_shadow(scene) for scene in scenes]
-        rows = np.stack([placed.rows(self.cells[placed.shape]) for placed in objects])
+        rows = [placed.rows(self.cells[placed.shape]) for placed in objects]
+        rows = rows or [np.zeros((Shadows.ROWS, 4))]  # of no scene: the kernels need an array
         last = np.where(shadowing, first[1:], first[:-1])
         shadows = Shadows(
-            *(self.scene, upload_indices(first[:-1]), upload_indices(last), upload(rows)),
+            *(self.scene, upload_indices(first[:-1]), upload_indices(last), upload(np.stack(rows))),
             any(quadric_of(shape)[1] is Hiding.MESH for shape in self.cells),
         )
         walls, transmittance = self._walls(scenes, corners)
@@ -271,7 +272,7 @@ def _mesh_scene(meshes: Sequence[UnitMesh]) -> mi.Scene:
 def _can_be_in_shadow(scene: Scene) -> bool:
     """Whether an object can hide light from itself or from another one: only a single convex solid cannot."""
     shapes = [part.shape for part in scene.hidden_objects]
-    return len(shapes) > 1 or not is_convex(shapes[0])
+    return len(shapes) > 1 or not all(map(is_convex, shapes))
 
 
 def _dual(edges: Floats) -> Floats:
