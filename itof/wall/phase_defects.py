@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_fit import MOST_PIXELS
 

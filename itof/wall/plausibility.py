@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz
 from itof.unwrapping import combined_range_m
 from itof.wall.brightness import EVEN, brightness_findings
 from itof.wall.expected_wall import ExpectedWall
