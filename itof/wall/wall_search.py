@@ -11,7 +11,7 @@ from itof.arrays import Floats, Phasors
 from itof.light import OFFSET_STD_RAD, phase
 from itof.pinhole import pixel_rays
 from itof.unwrapping import combined_range_m, unwrap_depth
-from itof.wall.expected_wall import ExpectedWall
+from itof.wall.expected_wall import ExpectedWall, NumpyWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.wall_fit import (
     MOST_PIXELS,
@@ -29,7 +29,7 @@ _SAME_PLANE = 1e-6  # relative change of a step that ends the search: the fit go
 
 def locate_wall(
     phasor: Phasors,
-    wall: ExpectedWall,
+    wall: NumpyWall,
     *,
     direct: Phasors | None = None,
     offset_std_rad: ArrayLike = OFFSET_STD_RAD,
@@ -58,7 +58,7 @@ def found(fit: RobustFit | None) -> bool:
     return fit is not None and fit.shows_wall
 
 
-def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> Floats:
+def plane_from_nothing(phasor: ArrayLike, wall: NumpyWall) -> Floats:
     """(3,) plane m of a wall whose pose is unknown, 1/m in camera axes: a start for `fit_wall`.
 
     The phases of all frequencies together give each pixel's distance L (`itof.unwrap_depth`), and
@@ -91,7 +91,7 @@ def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> Floats:
 
 def wall_from_nothing(
     phasor: ArrayLike, frequencies_hz: Sequence[float], horizontal_fov_deg: float
-) -> ExpectedWall:
+) -> NumpyWall:
     """The wall that a measurement (H, W, F) shows, for a camera whose pose is unknown.
 
     Only the field of view and the frequencies must be known. The plane of `plane_from_nothing` is refined by
@@ -117,7 +117,7 @@ def wall_from_nothing(
 
 def best_fit(
     phasor: Phasors,
-    wall: ExpectedWall,
+    wall: NumpyWall,
     start_per_m: Floats | None = None,
     *,
     offset_std_rad: ArrayLike = OFFSET_STD_RAD,
