@@ -120,13 +120,6 @@ class ExpectedWall(Generic[A]):
         arrays = (convert(self.direct), convert(self.rays), convert(self.plane_per_m))
         return ExpectedWall(self.frequencies_hz, *arrays, strength)
 
-    def of_images(self, some: slice) -> ExpectedWall[A]:
-        """The walls of some images, if each has its own; else this wall."""
-        if self.direct.ndim == 3:
-            return self
-        strength = None if self.strength is None else self.strength[some]
-        return replace(self, direct=self.direct[some], rays=self.rays[some], strength=strength)
-
     def captured(self, direct: PhasorsOf[A]) -> ExpectedWall[A]:
         """The wall with the return of a capture of the empty corner (H, W, F), in the same place.
 

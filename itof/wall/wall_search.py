@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from itof.arrays import Floats, Phasors
 from itof.light import OFFSET_STD_RAD, phase
-from itof.pinhole import pixel_rays
 from itof.unwrapping import combined_range_m, unwrap_depth
-from itof.wall.expected_wall import ExpectedWall, NumpyWall
-from itof.wall.self_calibration import calibrate
+from itof.wall.expected_wall import NumpyWall
 from itof.wall.wall_fit import (
     MOST_PIXELS,
     RobustFit,
@@ -87,32 +83,6 @@ def plane_from_nothing(phasor: ArrayLike, wall: NumpyWall) -> Floats:
         if np.linalg.norm(plane - before) < _SAME_PLANE * np.linalg.norm(plane):
             break
     return plane
-
-
-def wall_from_nothing(
-    phasor: ArrayLike, frequencies_hz: Sequence[float], horizontal_fov_deg: float
-) -> NumpyWall:
-    """The wall that a measurement (H, W, F) shows, for a camera whose pose is unknown.
-
-    Only the field of view and the frequencies must be known. The plane of `plane_from_nothing` is refined by
-    `itof.wall.self_calibration.calibrate`, also for phase offsets of up to about half a radian. The direct
-    return is computed for this plane.
-
-    Raises
-    ------
-    ValueError : no pixel holds light, or the phases show no plane in front of the camera.
-    """
-    z = np.asarray(phasor)
-    height, width = z.shape[:2]
-    rays = pixel_rays(width, height, horizontal_fov_deg)
-    anywhere = ExpectedWall(tuple(frequencies_hz), np.ones(z.shape), rays, np.zeros(3))
-    plane = plane_from_nothing(z, anywhere)
-    for _ in range(2):  # where the direct return was computed for another plane, its amplitudes are off
-        wall = ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
-        if not np.isfinite(wall.radial_depth_m).any():
-            raise ValueError("the phases show no wall in front of the camera")
-        plane = calibrate(z, wall).plane_per_m
-    return ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
 
 
 def best_fit(
