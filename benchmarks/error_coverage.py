@@ -29,7 +29,8 @@ import numpy as np
 from reference_light import corner_reference, reference
 from seven_scenes import SCENES, made_datasets
 
-from itof import MeasurementMatrix, TransientLayout, megahertz
+from disk.frequency_text import megahertz
+from itof import MeasurementMatrix, TransientLayout
 from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.transport.many_light import ManyLight, ManyLightExposure

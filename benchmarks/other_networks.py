@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.data.shards import Shards, open_shards
-from model.network.mask_and_depth import MaskAndDepthLoss, log_error
+from model.network.loss import MaskAndDepthLoss
+from model.network.mask_and_depth import log_error
 from model.network.metrics import Summary
 from model.network.unet import LEVELS, UNet
 from model.prediction.predictor import load

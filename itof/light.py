@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from decimal import Decimal
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -58,14 +56,3 @@ def phasor_of_return(radial_depth_m: ArrayLike, frequency_hz: ArrayLike) -> NDAr
     """Phasor of amplitude 1 of a single return from depth d: exp(j 4π f d / c). Inputs broadcast."""
     opl_m = 2 * np.asarray(radial_depth_m, dtype=np.float64)  # the optical path goes out and back
     return np.exp(1j * phase_per_metre(frequency_hz) * opl_m)
-
-
-def megahertz(*frequencies_hz: float, between: str = ", ") -> str:
-    """Frequencies as text for a reader: ``20, 62.5 MHz``."""
-    return between.join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz) + " MHz"
-
-
-def exact_megahertz(frequency_hz: float) -> str:
-    """20e6 as "20", 62.5e6 as "62.5": decimal digits, which division by a float 1e6 would not keep."""
-    digits = format(Decimal(repr(float(frequency_hz))).scaleb(-6), "f")
-    return digits.rstrip("0").rstrip(".") if "." in digits else digits

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from itof.light import SPEED_OF_LIGHT, megahertz, phase_per_metre
+from disk.frequency_text import megahertz
+from itof.light import SPEED_OF_LIGHT, phase_per_metre
 from itof.splat import Splat, splat_transfer
 
 

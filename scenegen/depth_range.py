@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.constants import speed_of_light
 
+from disk.frequency_text import megahertz
 from disk.preset_files import PresetError
 from disk.quantities import Extent
 from scenegen.object_settings import HiddenObjectSettings
@@ -39,11 +40,10 @@ def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> 
     depth_m, frequencies_hz = largest_mirrored_depth_m(preset, meshes), preset.itof.frequencies_hz
     range_m = speed_of_light / (2 * gcd(*map(round, frequencies_hz)))
     if range_m <= depth_m * (1 + _ROUNDING):
-        known = ", ".join(f"{frequency_hz / 1e6:g}" for frequency_hz in frequencies_hz)
         raise PresetError(
-            f"itof.frequencies_hz: {known} MHz can represent depths below {range_m:.4g} m, and mirrored "
-            f"hidden objects can be up to {depth_m:.4g} m from the camera: put a lower frequency first, at "
-            f"most {_highest_hz(depth_m) / 1e6:g} MHz"
+            f"itof.frequencies_hz: {megahertz(*frequencies_hz)} can represent depths below {range_m:.4g} m, "
+            f"and mirrored hidden objects can be up to {depth_m:.4g} m from the camera: put a lower "
+            f"frequency first, at most {megahertz(_highest_hz(depth_m))}"
         )
 
 

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.frequency_text import megahertz
 from itof.capture.sidecar import CaptureError
-from itof.light import megahertz
 
 MIXED: Final = 1.1  # brightness of a frame over that of another; emitters drift by a few per cent
 NO_LIGHT: Final = "holds no light: a dark frame? take it out of the frames"

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.frequency_text import megahertz
 from itof import phasor_of_return, radial_from_z
 from itof.arrays import Complex, Numbers
 from itof.capture.averaging import NO_LIGHT
@@ -16,7 +17,6 @@ from itof.capture.number_range import refuse_range
 from itof.capture.phase_steps import phasor_weights
 from itof.capture.raw_frames import RawFrames
 from itof.capture.sidecar import CaptureError, Sidecar
-from itof.light import megahertz
 
 _STUCK = 0.01  # response of a tap over that of the taps that respond most
 _WHOLE_TURN = 1.05  # periods that phases may span, with some slack for offsets

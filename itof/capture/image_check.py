@@ -9,11 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from disk.frequency_text import megahertz
 from itof import combined_range_m
 from itof.arrays import Floats, Phasors
 from itof.capture.demodulating import WALLS_M
 from itof.capture.facts import CaptureFacts, milliradians
-from itof.light import OFFSET_STD_RAD, megahertz
+from itof.light import OFFSET_STD_RAD
 from itof.wall.brightness import DEAD_NOTED, SATURATED_NOTED, brightness_findings
 from itof.wall.finding import Finding, length
 from itof.wall.frequency_defects import other_frequency

@@ -26,29 +26,29 @@ def refuse_range(raw: RawFrames, sidecar: Sidecar) -> None:
     CaptureError : this is so; the message has the bits that the numbers show.
     """
     levels = np.unique(raw.values.reshape(-1)[:: max(1, raw.values.size // _SAMPLE)]).astype(np.float64)
-    unit = _unit(levels)
+    step = _smallest_step(levels)
     largest = float(raw.values.max())
     if sidecar.layout == "taps" and sidecar.bits is not None and sidecar.saturation_dn is None:
         most = 2**sidecar.bits - 1
         if largest > most:
             words = f"give the true bits: {int(largest).bit_length()}?"
-            if unit >= (largest + 1) / (most + 1):
-                words = f"all are multiples of {unit}, left-aligned: give saturation_dn = {unit * most}"
+            if step >= (largest + 1) / (most + 1):
+                words = f"all are multiples of {step}, left-aligned: give saturation_dn = {step * most}"
             hold = f"the frames hold {largest:g}, and {sidecar.bits} bits hold at most {most}"
             raise CaptureError(f"{raw.source}: {hold}: {words}")
     for end in _stops(raw.values, levels, sidecar.layout == "differences"):
         if sidecar.saturation is None or abs(end) < sidecar.saturation:
-            bits = int(abs(end) // unit).bit_length()
-            full = abs(end) == unit * (2**bits - 1)  # of a converter without a sign
-            of = f" ({bits} bits{', left-aligned' if unit > 1 else ''})" if full else ""
-            key = f"bits = {bits}" if full and unit == 1 and sidecar.layout == "taps" else ""
+            bits = int(abs(end) // step).bit_length()
+            full = abs(end) == step * (2**bits - 1)  # of a converter without a sign
+            of = f" ({bits} bits{', left-aligned' if step > 1 else ''})" if full else ""
+            key = f"bits = {bits}" if full and step == 1 and sidecar.layout == "taps" else ""
             raise CaptureError(
                 f"{raw.source}: the numbers stop at {end:g}{of}, which many reach: pixels are saturated that "
                 f"the sidecar does not know: give {key or f'saturation_dn = {abs(end):g}'}"
             )
 
 
-def _unit(levels: NDArray[np.float64]) -> int:
+def _smallest_step(levels: NDArray[np.float64]) -> int:
     """The power of two of which all numbers are multiples; 1 if they are no whole numbers."""
     if (levels != np.round(levels)).any() or np.abs(levels).max() >= 2**53:
         return 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass
@@ -15,8 +15,6 @@ from disk.contract import STRICT, checked
 from disk.plain_file import read_plain
 from itof.capture.facts import CaptureFacts
 from itof.capture.sidecar import CaptureError, Sidecar
-
-SCHEMA: Final = 1
 
 
 @dataclass(frozen=True, config=STRICT)

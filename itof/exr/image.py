@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from disk.frequency_text import exact_megahertz
 from disk.machine_memory import memory_shortage
 from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
-from itof.light import exact_megahertz
 
 FIELD_OF_VIEW = "horizontal_fov_deg"  # attribute of images; an array of other measurement files
 PROJECTOR = "projector"  # attribute of measurements whose light is no flash at the camera

@@ -22,12 +22,12 @@ from typing import cast
 import numpy as np
 
 from disk import NightError, PathLike
+from disk.frequency_text import megahertz
 from disk.quantities import FREQUENCY, fov_problem
 from itof.arrays import Complex, Numbers, Phasors
 from itof.exr.image import FIELD_OF_VIEW
 from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.measurement_process import FileContents, read_contents
-from itof.light import megahertz
 
 _ENDINGS = (".exr", ".npz", ".h5", ".hdf5")
 _SAME_FREQUENCY = 1e-6  # relative tolerance; changes the phase of 20 m optical path at 20 MHz by 8e-6 rad

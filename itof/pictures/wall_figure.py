@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from itof.light import megahertz
+from disk.frequency_text import megahertz
 from itof.pictures.figures import BACKGROUND, plain
 from itof.wall.plausibility import describe_shift
 from itof.wall.wall_fit import RobustFit

@@ -23,8 +23,8 @@ import numpy as np
 from array_api_compat import array_namespace, device
 from numpy.typing import NDArray
 
+from disk.frequency_text import megahertz
 from itof.arrays import A, Array
-from itof.light import megahertz
 from itof.sensor.settings import SensorSettings
 
 Harmonics: TypeAlias = Mapping[int, float] | Mapping[int, Array]  # C_h / C_1 by h

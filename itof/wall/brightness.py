@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from itof.arrays import Bools, Floats, Phasors
-from itof.wall.expected_wall import ExpectedWall
+from itof.wall.expected_wall import NumpyWall
 from itof.wall.finding import Finding
 
 EVEN: Final = 0.1  # spread of an amplitude or a phase over that of the wall's return
@@ -19,7 +19,7 @@ _SAME = 1e-6  # relative; rounding of complex64
 _NOT_SAME = 1.02  # ratio of expected amplitudes that no rounding explains
 
 
-def brightness_findings(phasor: Phasors, wall: ExpectedWall) -> Iterator[Finding]:
+def brightness_findings(phasor: Phasors, wall: NumpyWall) -> Iterator[Finding]:
     """Findings about the amplitudes of one measurement (H, W, F)."""
     lit = (phasor != 0).all(-1)
     seen = lit & (wall.direct != 0).all(-1)

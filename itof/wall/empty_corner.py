@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from itof.arrays import Floats, Phasors
 from itof.light import OFFSET_STD_RAD
-from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m, strength_elsewhere
+from itof.wall.expected_wall import NumpyWall, angle_deg, distance_m, strength_elsewhere
 from itof.wall.finding import length
 from itof.wall.wall_fit import plane_std
 from itof.wall.wall_phases import WallRays
@@ -87,7 +87,7 @@ class CapturedPlane:
 
 def find_wall(
     corners: Sequence[Phasors],
-    wall: ExpectedWall,
+    wall: NumpyWall,
     offset_std_rad: ArrayLike = OFFSET_STD_RAD,
     *,
     needs_distance: bool = False,
@@ -119,7 +119,7 @@ def find_wall(
     return CapturedPlane(plane, expected, *plane_std(plane, covariance), needs_distance)
 
 
-def captured_wall(corner: Phasors, wall: ExpectedWall) -> ExpectedWall:
+def captured_wall(corner: Phasors, wall: NumpyWall) -> NumpyWall:
     """The wall with the return of a capture (H, W, F) of the empty corner, where this capture shows it.
 
     Where its angle is uncertain, it is the expected wall. The weights of pixels in fits, which decide what of
@@ -137,9 +137,9 @@ def captured_wall(corner: Phasors, wall: ExpectedWall) -> ExpectedWall:
     return captured_at(corner, wall, seen.plane_per_m) if seen.is_certain else wall.captured(corner)
 
 
-def captured_at(corner: Phasors, wall: ExpectedWall, plane_per_m: Floats) -> ExpectedWall:
+def captured_at(corner: Phasors, wall: NumpyWall, plane_per_m: Floats) -> NumpyWall:
     """The expected wall in another plane (3,), with the return of a capture (H, W, F) of the empty corner."""
     pixels, captured = WallRays.of(wall), wall.captured(corner)
     depth_m, meets = pixels.depth_m(plane_per_m)
     share = (strength_elsewhere(pixels.expected_depth_m, depth_m) * meets).reshape(wall.meets.shape)
-    return replace(captured, plane_per_m=plane_per_m, strength=captured.strength * share)
+    return replace(captured, plane_per_m=plane_per_m, strength=captured.fit_strength * share)

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Generic
+from typing import Any, Generic, TypeAlias
 
 import numpy as np
 from array_api_compat import array_namespace
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from itof.arrays import A, B, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.direct import direct_phasors
@@ -55,7 +55,7 @@ class ExpectedWall(Generic[A]):
         camera_location_m: ArrayLike,
         wall_point_m: ArrayLike,
         wall_normal: ArrayLike,
-    ) -> ExpectedWall:
+    ) -> NumpyWall:
         """The wall with the return `direct` (H, W, F); the other parameters as in `itof.direct_phasors`.
 
         Raises
@@ -75,7 +75,7 @@ class ExpectedWall(Generic[A]):
         height: int,
         frequencies_hz: Sequence[float],
         horizontal_fov_deg: float,
-    ) -> ExpectedWall:
+    ) -> NumpyWall:
         """The wall in the plane m (3,), 1/m in camera axes, with its computed return.
 
         Raises
@@ -94,7 +94,7 @@ class ExpectedWall(Generic[A]):
         return ExpectedWall(tuple(frequencies_hz), direct, pixel_rays(*size), plane)
 
     @classmethod
-    def stacked(cls, walls: Sequence[ExpectedWall]) -> ExpectedWall:
+    def stacked(cls, walls: Sequence[NumpyWall]) -> NumpyWall:
         """Walls of numpy arrays at the same frequencies and in the same plane, for one image each.
 
         Raises
@@ -119,13 +119,6 @@ class ExpectedWall(Generic[A]):
         strength = None if self.strength is None else convert(self.strength)
         arrays = (convert(self.direct), convert(self.rays), convert(self.plane_per_m))
         return ExpectedWall(self.frequencies_hz, *arrays, strength)
-
-    def of_images(self, some: slice) -> ExpectedWall[A]:
-        """The walls of some images, if each has its own; else this wall."""
-        if self.direct.ndim == 3:
-            return self
-        strength = None if self.strength is None else self.strength[some]
-        return replace(self, direct=self.direct[some], rays=self.rays[some], strength=strength)
 
     def captured(self, direct: PhasorsOf[A]) -> ExpectedWall[A]:
         """The wall with the return of a capture of the empty corner (H, W, F), in the same place.
@@ -180,6 +173,9 @@ class ExpectedWall(Generic[A]):
     def slope(self) -> Floats:
         """(F,) k_f, phase per metre of depth, rad/m."""
         return 2 * phase_per_metre(self.frequencies_hz)  # out and back
+
+
+NumpyWall: TypeAlias = ExpectedWall[NDArray[Any]]
 
 
 def strength_elsewhere(expected_depth_m: A, depth_m: A) -> A:

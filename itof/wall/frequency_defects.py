@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz
 from itof.wall.phase_defects import CLEAR
 from itof.wall.wall_fit import RobustFit
 
@@ -58,7 +58,7 @@ def other_frequency(phasor: Phasors, fit: RobustFit) -> str:
     if abs(np.log(true_hz[0] / frequencies_hz[wrong[0]])) < max(_APART, 2 * min(spread)):
         return ""
     given = megahertz(*(frequencies_hz[place] for place in wrong), between=" and ")
-    like = " or ".join(f"{each / 1e6:.3g}" for each in true_hz) + " MHz"
+    like = megahertz(*true_hz, between=" or ", digits=3)
     if count == 2:
         return f"the phases at {given} do not fit each other: is one of them {like}, respectively?"
     rest = megahertz(*(each for place, each in enumerate(frequencies_hz) if place not in wrong))

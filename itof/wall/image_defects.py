@@ -11,8 +11,9 @@ from typing import Final
 
 import numpy as np
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz, phase_per_metre
+from itof.light import phase_per_metre
 from itof.unwrapping import unwrap_depth
 from itof.wall.finding import Finding
 from itof.wall.line_defects import lines_in_disorder, seam

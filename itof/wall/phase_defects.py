@@ -19,9 +19,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz
-from itof.wall.expected_wall import ExpectedWall
+from itof.wall.expected_wall import NumpyWall
 from itof.wall.wall_fit import MOST_PIXELS
 
 Undo = Callable[[Phasors], Phasors]
@@ -80,7 +80,7 @@ class PhaseDefect:
     mismatch: float
 
 
-def mismatch(phasor: Phasors, wall: ExpectedWall, *, free_offsets: bool = False) -> float:
+def mismatch(phasor: Phasors, wall: NumpyWall, *, free_offsets: bool = False) -> float:
     """1 - Re(mean of e^{j (phase - expected)}), weighted by |d|² over pixels, and over the frequencies.
 
     With `free_offsets`, each frequency may have any phase offset.
@@ -89,9 +89,7 @@ def mismatch(phasor: Phasors, wall: ExpectedWall, *, free_offsets: bool = False)
     return float(1 - (np.abs(agreement) if free_offsets else agreement.real).mean())
 
 
-def find_defects(
-    phasor: Phasors, wall: ExpectedWall, *, free_offsets: bool = False
-) -> tuple[PhaseDefect, ...]:
+def find_defects(phasor: Phasors, wall: NumpyWall, *, free_offsets: bool = False) -> tuple[PhaseDefect, ...]:
     """The defects that explain the phases (H, W, F); several if they explain them equally well.
 
     With `free_offsets`, each frequency may have any phase offset, as in a camera that was never calibrated;
@@ -116,7 +114,7 @@ def alternatives(defects: Sequence[PhaseDefect]) -> str:
     return ", or ".join(" and ".join(each.parts) for each in defects)
 
 
-def _trials(phasor: Phasors, wall: ExpectedWall, free_offsets: bool) -> Iterator[PhaseDefect]:
+def _trials(phasor: Phasors, wall: NumpyWall, free_offsets: bool) -> Iterator[PhaseDefect]:
     """Every combination of up to two defects."""
     height, width, count = phasor.shape
     axes = AXES | (SQUARE_AXES if height == width else OBLONG_AXES)
@@ -143,7 +141,7 @@ def _orders(scores: Floats) -> Iterator[tuple[int, ...]]:
 
 
 def _agreement(
-    phasor: Phasors, wall: ExpectedWall, factor: float, *, conjugated: bool
+    phasor: Phasors, wall: NumpyWall, factor: float, *, conjugated: bool
 ) -> NDArray[np.complex128]:
     """(F, F) weighted means of e^{j (phase at a - factor · expected phase at b)}."""
     step = math.isqrt(max(1, phasor[..., 0].size // MOST_PIXELS))

@@ -16,11 +16,11 @@ from typing import Final
 
 import numpy as np
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
-from itof.light import megahertz
 from itof.unwrapping import combined_range_m
 from itof.wall.brightness import EVEN, brightness_findings
-from itof.wall.expected_wall import ExpectedWall
+from itof.wall.expected_wall import NumpyWall
 from itof.wall.finding import Finding, length
 from itof.wall.frequency_defects import other_frequency
 from itof.wall.image_defects import fit_defects, image_defects
@@ -61,7 +61,7 @@ class Plausibility:
 
 def check_measurement(
     phasor: Phasors,
-    wall: ExpectedWall,
+    wall: NumpyWall,
     reference: Phasors | None = None,
     *,
     self_calibrated: bool = False,
@@ -115,7 +115,7 @@ def check_measurement(
     return Plausibility((*findings, *place, *_scatter(fit)), fit)
 
 
-def check_reference(reference: Phasors, wall: ExpectedWall) -> tuple[Finding, ...]:
+def check_reference(reference: Phasors, wall: NumpyWall) -> tuple[Finding, ...]:
     """What is wrong with a measurement of the empty corner, except for the wall's place and phase offsets.
 
     Raises
@@ -148,7 +148,7 @@ def shift_words(shift_m: float, tilt_deg: float) -> str:
 
 
 def _amplitudes_and_conventions(
-    phasor: Phasors, wall: ExpectedWall, *, free_offsets: bool
+    phasor: Phasors, wall: NumpyWall, *, free_offsets: bool
 ) -> tuple[Finding, ...]:
     findings = [*brightness_findings(phasor, wall)]
     if any(each.code == "no-wall" for each in findings):
@@ -160,7 +160,7 @@ def _amplitudes_and_conventions(
     return tuple(findings)
 
 
-def _phase_spread(phasor: Phasors, wall: ExpectedWall) -> Floats:
+def _phase_spread(phasor: Phasors, wall: NumpyWall) -> Floats:
     """(F,) 1 - |mean of e^{j phase}| over the lit pixels, weighted by |d|²."""
     lit = (phasor != 0).all(-1)
     strength = np.abs(wall.direct[lit][:, 0]).astype(np.float64)
@@ -170,7 +170,7 @@ def _phase_spread(phasor: Phasors, wall: ExpectedWall) -> Floats:
     return spread
 
 
-def _no_wall(phasor: Phasors, wall: ExpectedWall, compared: bool) -> Finding:
+def _no_wall(phasor: Phasors, wall: NumpyWall, compared: bool) -> Finding:
     """Why the phases at all frequencies together are not those of a wall."""
     if compared:
         return Finding("no-wall", "measurement and reference do not show the same wall", True)

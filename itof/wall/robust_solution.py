@@ -41,7 +41,7 @@ _HOPELESS_RAD = 1.0  # scale of the residual that ends the steps early; 2.3 rad 
 
 
 def robust_solution(
-    problem: WallPhases, start: Floats, offset_std_rad: Floats
+    problem: WallPhases[Floats], start: Floats, offset_std_rad: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Plane (3,), offsets and four-cycle errors (F, 3), and the covariance (P, P) of both.
 
@@ -81,7 +81,7 @@ def robust_solution(
     return plane, local, inverse @ stated @ inverse
 
 
-def _with_four_cycles(problem: WallPhases, plane: Floats) -> WallPhases:
+def _with_four_cycles(problem: WallPhases[Floats], plane: Floats) -> WallPhases[Floats]:
     """The problem with the four cycles of the phases of a plane."""
     waves = four_cycles_of(problem.pixels.depth_m(plane)[0], problem.pixels.slope)
     return replace(problem, basis=np.concatenate([np.ones_like(waves[:, :1]), waves], axis=1))
@@ -93,7 +93,7 @@ def four_cycles_of(depth_m: Floats, slope: Floats) -> Floats:
     return np.stack([np.cos(cycles), np.sin(cycles)], axis=1)
 
 
-def _smooth_modes(problem: WallPhases) -> Floats:
+def _smooth_modes(problem: WallPhases[Floats]) -> Floats:
     """(n, M) polynomials of the image times the roots of the weights, orthonormal."""
     x, y, z = problem.pixels.rays
     root = np.sqrt(problem.weight[0])
@@ -103,7 +103,9 @@ def _smooth_modes(problem: WallPhases) -> Floats:
     return modes
 
 
-def _smooth_variance(problem: WallPhases, modes: Floats, residual: Residual, scale: float) -> float:
+def _smooth_variance(
+    problem: WallPhases[Floats], modes: Floats, residual: Residual[Floats], scale: float
+) -> float:
     """Variance of a smooth error, radians²; pixels that see no wall count with three times the scale."""
     left = np.clip(np.where(residual.meets, residual.left, np.pi), -3 * scale, 3 * scale)
     found = (left * np.sqrt(problem.weight)) @ modes  # (F, M)

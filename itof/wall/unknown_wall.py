@@ -19,7 +19,7 @@ import numpy as np
 from itof.arrays import Floats, Phasors
 from itof.light import OFFSET_STD_RAD, phase_per_metre
 from itof.pinhole import pixel_rays
-from itof.wall.expected_wall import ExpectedWall, radial_depth_of_plane
+from itof.wall.expected_wall import ExpectedWall, NumpyWall, radial_depth_of_plane
 from itof.wall.phase_defects import CLEAR, GOOD, OBLONG_AXES, TURNS, order_text
 from itof.wall.wall_fit import RobustFit, without_unit
 from itof.wall.wall_search import best_fit, plane_from_nothing
@@ -95,7 +95,7 @@ class _Trial:
         thin = (slice(None, None, step),) * 2
         return replace(self, phasor=self.phasor[thin], rays=self.rays[thin])
 
-    def wall(self, plane_per_m: Floats) -> ExpectedWall:
+    def wall(self, plane_per_m: Floats) -> NumpyWall:
         """A wall in this plane with the return of pixels that see one point each."""
         depth_m = radial_depth_of_plane(self.rays, plane_per_m)[..., None]
         slope = 2 * phase_per_metre(self.frequencies_hz)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from itof.arrays import A, Bools, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.frequency_images import FrequencyImages, Slopes
 from itof.light import OFFSET_STD_RAD
-from itof.wall.expected_wall import ExpectedWall, angle_deg, distance_m, inverse_depth_of_plane
+from itof.wall.expected_wall import ExpectedWall, NumpyWall, angle_deg, distance_m, inverse_depth_of_plane
 from itof.wall.robust_solution import four_cycles_of, robust_solution
 from itof.wall.turned_reference import PixelMean
 from itof.wall.wall_phases import WallPhases, WallRays, four_cycles
@@ -84,7 +84,7 @@ class WallFit(Generic[A]):
 
 
 @dataclass(frozen=True)
-class RobustFit(WallFit):
+class RobustFit(WallFit[Floats]):
     """Outcome of `fit_wall` for one image, in numpy; axes are the camera's.
 
     `offsets_rad` are in [-π, π], with the mean of the four-cycle errors over the image. What these leave
@@ -105,7 +105,7 @@ class RobustFit(WallFit):
     mean_shift_std_m : standard deviation of the mean shift, with smooth errors.
     """
 
-    wall: ExpectedWall
+    wall: NumpyWall
     known_rad: Floats
     over_known: float
     plane_covariance: Floats
@@ -230,7 +230,7 @@ def plane_std(plane_per_m: Floats, covariance: Floats) -> tuple[float, float]:
 
 def fit_wall(
     phasor: ArrayLike,
-    wall: ExpectedWall,
+    wall: NumpyWall,
     *,
     offset_std_rad: ArrayLike = OFFSET_STD_RAD,
     start_per_m: ArrayLike | None = None,
@@ -291,7 +291,7 @@ def fit_wall(
     )
 
 
-def _problem(z: Phasors, expected: Phasors, wall: ExpectedWall, used: Bools) -> WallPhases:
+def _problem(z: Phasors, expected: Phasors, wall: NumpyWall, used: Bools) -> WallPhases[Floats]:
     """Phases of used pixels (n, F) over the expected ones, with an offset for each frequency."""
     xp = array_namespace(z)
     rays = WallRays(xp, wall.rays[used].T, used[used], wall.radial_depth_m[used], wall.slope[:, None])
@@ -299,7 +299,7 @@ def _problem(z: Phasors, expected: Phasors, wall: ExpectedWall, used: Bools) -> 
     return WallPhases(xp, rays, phases, np.ones((1, 1, len(z))), pixel_weights(z, expected)[None])
 
 
-def without_unit(phasor: ArrayLike, wall: ExpectedWall) -> NDArray[np.complex128]:
+def without_unit(phasor: ArrayLike, wall: NumpyWall) -> NDArray[np.complex128]:
     """(H, W, F) phasors whose largest component is 1; those a million million times smaller are 0.
 
     Amplitudes of such an image can be squared and divided without overflow.

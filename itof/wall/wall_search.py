@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from itof.arrays import Floats, Phasors
 from itof.light import OFFSET_STD_RAD, phase
-from itof.pinhole import pixel_rays
 from itof.unwrapping import combined_range_m, unwrap_depth
-from itof.wall.expected_wall import ExpectedWall
-from itof.wall.self_calibration import calibrate
+from itof.wall.expected_wall import NumpyWall
 from itof.wall.wall_fit import (
     MOST_PIXELS,
     RobustFit,
@@ -29,7 +25,7 @@ _SAME_PLANE = 1e-6  # relative change of a step that ends the search: the fit go
 
 def locate_wall(
     phasor: Phasors,
-    wall: ExpectedWall,
+    wall: NumpyWall,
     *,
     direct: Phasors | None = None,
     offset_std_rad: ArrayLike = OFFSET_STD_RAD,
@@ -58,7 +54,7 @@ def found(fit: RobustFit | None) -> bool:
     return fit is not None and fit.shows_wall
 
 
-def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> Floats:
+def plane_from_nothing(phasor: ArrayLike, wall: NumpyWall) -> Floats:
     """(3,) plane m of a wall whose pose is unknown, 1/m in camera axes: a start for `fit_wall`.
 
     The phases of all frequencies together give each pixel's distance L (`itof.unwrap_depth`), and
@@ -89,35 +85,9 @@ def plane_from_nothing(phasor: ArrayLike, wall: ExpectedWall) -> Floats:
     return plane
 
 
-def wall_from_nothing(
-    phasor: ArrayLike, frequencies_hz: Sequence[float], horizontal_fov_deg: float
-) -> ExpectedWall:
-    """The wall that a measurement (H, W, F) shows, for a camera whose pose is unknown.
-
-    Only the field of view and the frequencies must be known. The plane of `plane_from_nothing` is refined by
-    `itof.wall.self_calibration.calibrate`, also for phase offsets of up to about half a radian. The direct
-    return is computed for this plane.
-
-    Raises
-    ------
-    ValueError : no pixel holds light, or the phases show no plane in front of the camera.
-    """
-    z = np.asarray(phasor)
-    height, width = z.shape[:2]
-    rays = pixel_rays(width, height, horizontal_fov_deg)
-    anywhere = ExpectedWall(tuple(frequencies_hz), np.ones(z.shape), rays, np.zeros(3))
-    plane = plane_from_nothing(z, anywhere)
-    for _ in range(2):  # where the direct return was computed for another plane, its amplitudes are off
-        wall = ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
-        if not np.isfinite(wall.radial_depth_m).any():
-            raise ValueError("the phases show no wall in front of the camera")
-        plane = calibrate(z, wall).plane_per_m
-    return ExpectedWall.of_plane(plane, width, height, frequencies_hz, horizontal_fov_deg)
-
-
 def best_fit(
     phasor: Phasors,
-    wall: ExpectedWall,
+    wall: NumpyWall,
     start_per_m: Floats | None = None,
     *,
     offset_std_rad: ArrayLike = OFFSET_STD_RAD,

@@ -14,7 +14,7 @@ from disk.contract import STRICT
 from disk.quantities import FieldOfView, Vector
 from itof import direct_phasors
 from itof.arrays import Floats, Phasors
-from itof.wall.expected_wall import ExpectedWall, plane_of
+from itof.wall.expected_wall import ExpectedWall, NumpyWall, plane_of
 
 
 class WallPlaceError(NightError):
@@ -65,7 +65,7 @@ class WallView:
     def _pose(self) -> tuple[tuple[Vector, Vector, Vector], Vector, Vector, Vector]:
         return self.camera_axes, self.camera_location_m, self.wall_point_m, self.wall_normal
 
-    def expected_wall(self, direct: Phasors, frequencies_hz: Sequence[float]) -> ExpectedWall:
+    def expected_wall(self, direct: Phasors, frequencies_hz: Sequence[float]) -> NumpyWall:
         """The wall with its direct return (H, W, F), computed or captured.
 
         Raises

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import FileHashes, NightError
+from disk.frequency_text import megahertz
 from itof import (
     DepthMap,
     Image,
     ImageFileError,
     TransientReader,
     depth_from_phase,
-    megahertz,
     phase,
     read_image,
     unambiguous_range_m,

@@ -44,11 +44,11 @@ class Group:
 
 @dataclass(frozen=True)
 class GroupTable:
-    """All scenes, each in one group; `key` is for programs, `title` and `note` are for readers."""
+    """All scenes, each in one group; `key` is for programs, `title` and `explanation` are for readers."""
 
     key: str
     title: str
-    note: str
+    explanation: str
     groups: tuple[Group, ...]
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from disk import NightError
+from disk.frequency_text import megahertz
 from disk.own_files import refuse_other_files
-from itof import megahertz
 from model.data.corner import many_corners_problem
 from model.data.shards import Shards
 from model.judging.report_files import files_of_report

@@ -20,12 +20,6 @@ from model.network.metrics import Statistics
 
 REPORT_SCHEMA = 1
 METRICS_FILE = "metrics.json"
-_OTHER_FILES = ("index.html", "metrics.csv", "table.txt", "summary.md")
-# The figures of version 0.1, whose metrics.json has no list of files.
-_FIGURES = (
-    *("best", "median", "worst", "accuracy_histogram", "mae_histogram", "miou_histogram", "calibration_miou"),
-    *("calibration_mae", "training_loss", "training_mae", "training_miou"),
-)
 SUMMARY_HEAD = ("measure", "", "average", "std", "min", "max")
 GROUP_HEAD = ("scenes", "MAE, cm", "object MAE, cm", "mIoU", "no object: MAE, cm")
 IN_SUMMARY = ("object_class", "roughness")  # the group tables that documents want
@@ -40,15 +34,7 @@ def files_of_report(folder: Path) -> dict[str, str | None]:
         content = json.loads(read_plain(folder / METRICS_FILE, MOST_LIST_BYTES))
         if content["schema_version"] != REPORT_SCHEMA:
             return {}
-        known: dict[str, str | None]
-        if "files" in content:
-            known = {str(name): str(sha256) for name, sha256 in content["files"].items()}
-        else:
-            clouds = [
-                f"{scene['scene']}_{view}.ply" for scene in content["scenes"] for view in ("gt", "pred")
-            ]
-            figures = [f"figures/{name}.png" for name in _FIGURES]
-            known = dict.fromkeys([*_OTHER_FILES, *figures, *(f"pointclouds/{name}" for name in clouds)])
+        known = {str(name): str(sha256) for name, sha256 in content["files"].items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
     return {**known, METRICS_FILE: None, "pointclouds/": None}

@@ -12,8 +12,9 @@ from pydantic.dataclasses import dataclass
 
 from disk import NightError
 from disk.contract import STRICT
+from disk.frequency_text import megahertz
 from disk.quantities import Frequency, Positive
-from itof import SubpixelWeights, megahertz, network_channels, residual_channels, weighted_reference
+from itof import SubpixelWeights, network_channels, residual_channels, weighted_reference
 from itof.frequency_images import Slopes
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from itof.light import megahertz
+from disk.frequency_text import megahertz
 from itof.pictures.figures import finish_panels, plain
 from model.refinement.hidden_light import HiddenLight
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from itof import megahertz
+from disk.frequency_text import megahertz
 from model.device import plain_memory_errors
 from model.network.channels import InputSpec
 from model.run_folder.run_config import RunConfig, RunError, StartingWeights, read_config

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from disk import NightError, is_partial
-from itof import megahertz, unambiguous_range_m
+from disk.frequency_text import megahertz
+from itof import unambiguous_range_m
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
 from model.device import plain_memory_errors

@@ -13,7 +13,8 @@ from model.data.augmentation import Augmentation, Draws
 from model.data.batches import Batch, BatchMaker
 from model.data.rows import RowBlock
 from model.device import number_type
-from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
+from model.network.loss import MaskAndDepthLoss
+from model.network.mask_and_depth import MaskAndDepth
 from model.paper.augmentation import PaperAugmentation
 from model.paper.loss import NightLoss
 from model.run_folder.run_config import RunConfig

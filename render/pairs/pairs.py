@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import PathLike, whole_folder, write_text
-from itof import DepthMap, megahertz, phasor_channels, write_image
+from disk.frequency_text import megahertz
+from itof import DepthMap, phasor_channels, write_image
 from itof.capture.record import imported_fov_deg, read_import_record
 from itof.files.measurement_files import Measurement, read_measurement
 from itof.files.measurement_writing import ENDINGS

@@ -14,8 +14,9 @@ from typing import Any
 
 from disk import NightError
 from disk.byte_size import size
+from disk.frequency_text import megahertz
 from disk.plain_file import read_plain
-from itof import DEPTH_CHANNEL, MASK_CHANNEL, combined_range_m, megahertz
+from itof import DEPTH_CHANNEL, MASK_CHANNEL, combined_range_m
 from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
 

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import OutsideError, inside
+from disk.frequency_text import megahertz
 from itof import (
     DepthMap,
     Image,
     ImageFileError,
     TransientLayout,
     TransientReader,
-    megahertz,
     phase_per_metre,
     pixel_types,
     splat_residue,

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from disk import NightError, PathLike, whole_file, whole_folder
-from itof import Splat, TransientReader, highest_frequency_hz, megahertz, phasor_channels, write_image
+from disk.frequency_text import megahertz
+from itof import Splat, TransientReader, highest_frequency_hz, phasor_channels, write_image
 from scenegen import MEASUREMENT_FILE, RENDER_AGAIN, TRANSIENT_FILE, Dataset, recorded_file
 
 FAINT_HIDDEN = 3e-4  # hidden part of a faint scene of the paper, relative to the direct return
@@ -126,7 +127,7 @@ def _refuse_not_carried(reader: TransientReader, scene_id: str, frequencies_hz: 
         again = "render the transients again (night-render drop-transients, then night-render --product both)"
         raise ExportError(
             f"scene {scene_id}: bins of {width_m} m with the splat {splat} cannot carry a hidden signal at "
-            f"{megahertz(too_fast[0])}: use frequencies up to {_rounded_down(limit_hz / 1e6):g} MHz, or "
+            f"{megahertz(too_fast[0])}: use frequencies up to {megahertz(_rounded_down(limit_hz))}, or "
             f"{finer if splat == 'quadratic' else again}"
         )
 

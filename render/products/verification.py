@@ -147,11 +147,6 @@ def scene_damage(dataset: Dataset, scene_id: str) -> str:
     return "" if listed is None or found in (listed, rendered) else differences(folder)
 
 
-def verify_scene(dataset: Dataset, scene_id: str) -> list[str]:
-    """Problems of a rendered scene, as sentences; an empty list if there are none."""
-    return _judged(dataset, scene_id).problems
-
-
 @dataclass(frozen=True)
 class _Judgement:
     """What is wrong with a rendered scene.

@@ -13,7 +13,8 @@ from training_runs import FLIP, config_of, settings, train_on_one_thread
 from itof import DepthMap, ImageFileError, depth_from_phase, read_image
 from itof.exr.image import write_image
 from model.data.shards import open_shards
-from model.network.mask_and_depth import LARGEST_LOG_ERROR, MaskAndDepth, MaskAndDepthLoss
+from model.network.loss import MaskAndDepthLoss
+from model.network.mask_and_depth import LARGEST_LOG_ERROR, MaskAndDepth
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.history import read_history

@@ -20,24 +20,12 @@ from model.run_folder.run_config import RunError
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-LATER_FIGURES = ("scenes.png", "point_clouds.png", "accuracy_paper.png", "roundness.png")
-
-
 def judge(run, dataset, out, **options):
     return evaluate(run, dataset, out, device="cpu", progress=False, **options)
 
 
 def contents(folder):
     return {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-
-
-def forget_list_of_files(report):
-    """Make a report like one of version 0.1, which had no figures of several scenes."""
-    for name in LATER_FIGURES:
-        (report / "figures" / name).unlink()
-    metrics = json.loads((report / "metrics.json").read_text())
-    del metrics["files"]
-    (report / "metrics.json").write_text(json.dumps(metrics))
 
 
 @pytest.mark.long
@@ -83,13 +71,10 @@ def test_a_network_that_sees_nothing_scores_the_baseline_and_draws_no_points(
 INSIDE = ("notes.txt", "figures/thesis.txt", "figures/thesis.png", "pointclouds/000000_mine.ply")
 
 
-@pytest.mark.parametrize("without_list", [True, False])
 @pytest.mark.parametrize("mine", INSIDE)
 def test_a_report_replaces_no_file_that_the_user_put_into_an_earlier_one(
-    closed_form_scenes, earlier_report, tmp_path, mine, without_list
+    closed_form_scenes, earlier_report, tmp_path, mine
 ):
-    if without_list:
-        forget_list_of_files(earlier_report)
     (earlier_report / mine).write_text("years of work")
     before = contents(earlier_report)
     # The missing run is not noticed: the folder is checked first.
@@ -130,14 +115,6 @@ def test_a_file_that_the_user_adds_while_a_report_is_made_stays(
     ):
         judge(finished_run, closed_form_scenes, earlier_report, split="train")
     assert mine.read_text() == "years of work"
-
-
-@pytest.mark.long
-def test_a_report_replaces_one_of_version_0_1(finished_run, closed_form_scenes, earlier_report):
-    before = contents(earlier_report)
-    forget_list_of_files(earlier_report)
-    judge(finished_run, closed_form_scenes, earlier_report, split="train")
-    assert contents(earlier_report) == before
 
 
 @pytest.mark.parametrize("kind", ["run", "dataset", "foreign"])

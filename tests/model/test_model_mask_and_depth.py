@@ -15,7 +15,8 @@ from training_runs import FLIP, assert_same_end, config_of, edit_config, setting
 from itof import phasor_of_return, read_image, write_image
 from model.data.object_depth import LEAST_SPREAD_M, BalanceError, object_depth_m
 from model.data.rows import RowBlock
-from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
+from model.network.loss import MaskAndDepthLoss
+from model.network.mask_and_depth import MaskAndDepth
 from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config

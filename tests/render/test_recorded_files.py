@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 from previews import grey_view
-from render_records import record_anew
+from render_records import problems, record_anew
 
 from disk import OutsideError
 from itof import TransientReader, read_image
@@ -14,7 +14,6 @@ from model.data.renders import read_render
 from render.products.conversion import convert_to_itof, open_transient
 from render.products.tal_export import export_tal
 from render.products.tiles import is_rendered, read_tile
-from render.products.verification import verify_scene
 from scenegen import RenderFileError, read_record, recorded_file, write_rendering_record
 from scenegen.rendering_record import RenderingRecord
 
@@ -67,7 +66,7 @@ def test_a_changed_file_is_not_parsed(transient_copy, tmp_path, reader):
 def test_verification_does_not_parse_a_changed_file_either(transient_copy, name):
     file = transient_copy.render_folder(SCENE) / name
     file.write_bytes(b"no image".ljust(file.stat().st_size))
-    assert verify_scene(transient_copy, SCENE) == [f"{name} is not what was written (its SHA-256 differs)"]
+    assert problems(transient_copy, SCENE) == [f"{name} is not what was written (its SHA-256 differs)"]
 
 
 def test_verification_does_not_parse_a_file_that_the_record_does_not_name(transient_copy):
@@ -76,7 +75,7 @@ def test_verification_does_not_parse_a_file_that_the_record_does_not_name(transi
     del record["files"]["itof.exr"]
     file.write_text(json.dumps(record))
     file.with_name("itof.exr").write_bytes(b"no image")
-    assert verify_scene(transient_copy, SCENE) == ["itof.exr is not in render.json"]
+    assert problems(transient_copy, SCENE) == ["itof.exr is not in render.json"]
 
 
 @pytest.mark.parametrize("reader", READERS)
@@ -127,7 +126,7 @@ def test_a_link_out_of_the_folder_is_not_followed(transient_copy, tmp_path):
     file.symlink_to(tmp_path / "elsewhere.exr")
     with pytest.raises(OutsideError, match=r"transient\.exr is a symbolic link"):
         recorded_file(transient_copy, SCENE, "transient.exr")
-    assert "symbolic link" in verify_scene(transient_copy, SCENE)[0]
+    assert "symbolic link" in problems(transient_copy, SCENE)[0]
 
 
 def test_a_pipe_is_no_record(transient_copy):

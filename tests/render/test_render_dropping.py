@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from kill_points import names
 from night_commands import refusal, words
+from render_records import problems
 from render_runs import results
 
 from disk.byte_size import size
 from render.products.conversion import ExportError
 from render.products.transient_deletion import delete_transients, transient_bytes
-from render.products.verification import verify_scene
+from render.products.verification import verify
 from scenegen import open_dataset, read_record
 
 
@@ -34,7 +35,7 @@ def test_a_scene_without_its_transients_stays_a_whole_render(transient_copy, fol
     assert (folder / "itof.exr").read_bytes() == images
     kept = {name: before.files[name] for name in ("itof.exr", "mirrored.exr")}
     assert read_record(folder) == replace(before, files=kept)
-    assert verify_scene(transient_copy, "000000") == []
+    assert problems(transient_copy) == []
     assert delete_transients(transient_copy, ["000000"]) == 0
 
 
@@ -146,7 +147,8 @@ def test_a_kill_leaves_no_record_without_its_files_and_the_next_call_goes_on(sev
         records = [read_record(dataset.render_folder(scene_id)) for scene_id in dataset.ids()]
         lacking = [len(record.files) for record in records if len(record.files) < 4]
         assert not lacking or dataset.rendering.product == "itof"  # else they would be rendered again
-        assert [verify_scene(dataset, scene_id) for scene_id in dataset.ids()] == [[]] * 7
+        report = verify(dataset, dataset.ids())
+        assert (report.checked, report.problems, report.damaged_scenes) == (7, {}, {})
         delete_transients(dataset, dataset.ids())
         assert results(copy) == whole
         assert names(copy / "renders" / "000000") == ["itof.exr", "mirrored.exr", "render.json"]

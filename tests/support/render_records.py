@@ -3,6 +3,7 @@
 import dataclasses
 
 from disk import sha256_of
+from render.products.verification import verify
 from scenegen import FileRecord, RenderRecord, read_record, write_record
 
 NEW = RenderRecord(recipe="{}", attributes={}, files={})
@@ -16,3 +17,10 @@ def record_anew(folder, recipe=None):
     }
     record = read_record(folder) or NEW
     write_record(folder, dataclasses.replace(record, files=files, recipe=recipe or record.recipe))
+
+
+def problems(dataset, scene_id="000000"):
+    """What verification finds wrong with a scene, as sentences."""
+    report = verify(dataset, [scene_id])
+    assert (report.checked, report.damaged_scenes) == (1, {})
+    return report.problems.get(scene_id, [])

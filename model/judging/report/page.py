@@ -157,7 +157,7 @@ def _groups(report: Report) -> list[dict[str, Any]]:
     return [
         {
             "title": table.title,
-            "note": table.note,
+            "explanation": table.explanation,
             "rows": [
                 {
                     "name": group.name,
