@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
+from disk.counted import counted
 from model.judging.calibration import Calibration
 from model.judging.groups import GroupTable
 from model.judging.reliability import DepthReliability, Reliability
@@ -135,7 +136,7 @@ class Report:
     @property
     def table(self) -> str:
         """The summary as text, with baseline and paper."""
-        head = f"{self.split} split, {len(self.scenes)} scenes, radial depth"
+        head = f"{self.split} split, {counted(len(self.scenes), 'scene')}, radial depth"
         lines = [f"{head:<44}{'average':>9}{'std':>9}{'min':>9}{'max':>9}"]
         for measure, who, statistics in self.lines():
             lines.append(f"{f'{measure.name:<26}{who}':<44}" + "".join(f"{v:>9}" for v in statistics))

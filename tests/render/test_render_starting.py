@@ -267,7 +267,7 @@ def test_processes_killed_at_any_moment_of_the_start_change_no_result(unrendered
         output, errors = process.communicate()
         assert process.returncode == 0, errors
         assert "Traceback" not in errors
-        assert output.startswith("1 scenes rendered")
+        assert output.startswith("1 scene rendered")
         assert not psutil.wait_procs(workers, timeout=300)[1]
         return len(workers)
 
