@@ -74,9 +74,11 @@ def check(
 ) -> None:
     """Check a measurement file, or raw frames with a sidecar, by the wall that they show.
 
-    Ends with exit code 2 if a prediction would be useless. Needs no network.
+    Ends with exit code 2 if a prediction would be useless. Needs no network, and names those that come with
+    NIGHT and can read it.
     """
     import itof
+    from model.run_folder.networks import View, Wanted, readers
 
     if out is not None and out.suffix.lower() != ".png":
         raise click.BadParameter(f"{out} must end in .png", param_hint="--out")
@@ -87,7 +89,14 @@ def check(
         raise Refusal(
             f"{inputs[0]} is no capture of a wall to predict from: {'; '.join(done.found.warnings)}"
         )
-    tell(done.sentences, done.as_data(), as_json)
+    planes = {
+        None if wall is None or away_m is None else wall.plane_per_m
+        for wall, away_m in zip(done.found.walls, done.distances_m, strict=True)
+    }
+    views = tuple(View(done.horizontal_fov_deg, plane_per_m) for plane_per_m in planes)
+    wanted = Wanted(*done.image_size, done.frequencies_hz, views)
+    names, sentence = readers(wanted, can_be_smaller=sidecar is not None)
+    tell([*done.sentences, sentence], done.as_data() | {"networks": names}, as_json)
 
 
 @capture.command("corner", short_help="The preset of a corner from its empty wall.")

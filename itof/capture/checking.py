@@ -33,12 +33,16 @@ class CaptureCheck:
     distances_m : median distance of the wall in each image, metres; None where there is none, or where the
         phase offsets leave it unknown.
     facts, reference_facts : of the capture and of that of the empty corner; None if unknown.
+    image_size : width and height, pixels.
     """
 
     found: MeasurementCheck
     distances_m: tuple[float | None, ...]
     facts: CaptureFacts | None
     reference_facts: CaptureFacts | None
+    image_size: tuple[int, int]
+    frequencies_hz: tuple[float, ...]
+    horizontal_fov_deg: float
 
     @property
     def refused(self) -> bool:
@@ -121,6 +125,9 @@ def check_capture(
         (*away, *missing),
         images.facts,
         images.reference_facts,
+        (images.phasors.shape[2], images.phasors.shape[1]),
+        images.frequencies_hz,
+        images.fov_deg,
     )
     if picture is not None:
         _draw(Path(picture), paths(inputs)[0].name, images, checks, result)
