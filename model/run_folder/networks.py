@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 
 from disk import PathLike
-from itof import megahertz, pixel_rays
+from disk.frequency_text import megahertz
+from itof import pixel_rays
 from itof.files.measurement_files import SAME_FREQUENCY
 from itof.wall.expected_wall import radial_depth_of_plane
 from itof.wall.finding import length
