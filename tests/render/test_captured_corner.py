@@ -16,7 +16,7 @@ from itof.sensor.scene_camera import SceneCamera
 from itof.wall.expected_wall import angle_deg, distance_m
 from itof.wall.wall_view import WallView
 from render import captured_corner
-from render.products.corner_figure import corner_facts
+from render.products.corner_facts import corner_facts
 from scenegen import load_preset, open_dataset, sample_scene
 from scenegen.corner_geometry import distances_m
 from scenegen.pose import camera_axes, wall_geometry
