@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
+from itof.metrics import Statistics, Summary
 from model.judging.calibration import Calibration
 from model.judging.groups import GroupTable
 from model.judging.reliability import DepthReliability, Reliability
 from model.judging.scene_result import SceneResult
 from model.judging.table_one import AccuracyHistogram, accuracy_histogram
-from model.network.metrics import Statistics, Summary
 from scenegen import Split
 
 PAPER_RELATIVE_MAE = (0.01, 0.02)  # about; of a mean distance of about 3 m

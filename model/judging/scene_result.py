@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import DepthMap
+from itof.metrics import ImageMetrics, image_metrics, no_object_metrics
 from model.judging.roundness import disc_iou
-from model.network.metrics import ImageMetrics, image_metrics, no_object_metrics
 from model.prediction.expected_error import expected_mae_m
 from model.prediction.explained_light import ExplainedLight
 from scenegen import Scene

@@ -8,9 +8,9 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from itof.metrics import Statistics
 from itof.pictures.figures import write_figure
 from model.judging.exposures.results import ExposureReport
-from model.network.metrics import Statistics
 
 _BLUE, _ORANGE, _GREY = "#0b6fb8", "#d9730d", "#5f6770"
 

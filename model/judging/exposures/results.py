@@ -11,8 +11,8 @@ from typing import Any
 from disk import whole_file, write_text
 from disk.own_files import hashes_of
 from disk.plain_file import MOST_LIST_BYTES, read_plain
+from itof.metrics import NUMBERS, Summary, summary_cells
 from itof.sensor.settings import SensorSettings
-from model.network.metrics import NUMBERS, Summary, summary_cells
 
 EXPOSURE_SCHEMA = 1
 RESULT_FILE, TABLE_FILE, FIGURE_FILE = "exposures.json", "exposures.csv", "exposures.png"

@@ -13,6 +13,7 @@ import numpy as np
 from disk import PathLike, whole_folder
 from disk.own_files import refuse_other_files
 from itof import ImageFileError, read_image
+from itof.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics, summarise
 from itof.sensor.imperfections import cameras_by_imperfection
 from itof.sensor.scene_camera import MeasuredScene, SceneCamera
 from itof.sensor.settings import MOST_FRAMES, SensorSettings
@@ -31,7 +32,6 @@ from model.judging.refusals import (
     refuse_other_images,
 )
 from model.network.channels import ChannelError
-from model.network.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName

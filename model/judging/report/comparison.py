@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from itof import DepthMap
+from itof.metrics import ImageMetrics
 from itof.pictures.figures import PANELS, depth_range, finish_panels, plain
-from model.network.metrics import ImageMetrics
 
 
 def comparison_figure(title: str, truth: DepthMap, prediction: DepthMap, metrics: ImageMetrics) -> Figure:
