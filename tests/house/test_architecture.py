@@ -93,10 +93,6 @@ WINGS = {
         *("model.judging.report", "model.judging", "model.prediction", "model.data", "model.run_folder"),
         "model.settings",
     },
-    "model.judging.exposures": {
-        *("model.judging", "model.prediction", "model.data", "model.network", "model.run_folder"),
-        "model.settings",
-    },
     "model.refinement": {
         *("model.refinement.light", "model.judging", "model.prediction", "model.data", "model.network"),
         *("model.run_folder", "model.device", "model.settings"),

@@ -21,8 +21,13 @@ from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards, open_shards
-from model.judging.exposures.figure import write_exposure_figure
-from model.judging.exposures.results import FIGURE_FILE, ExposureReport, ExposureRow, files_of_exposures
+from model.judging.exposure_results import (
+    FIGURE_FILE,
+    ExposureReport,
+    ExposureRow,
+    files_of_exposures,
+    write_exposure_figure,
+)
 from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
     EvaluationError,
