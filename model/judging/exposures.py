@@ -83,10 +83,8 @@ def judge_exposures(
 
     Raises
     ------
-    EvaluationError : the split has no scenes, the run was trained for other images, needs a capture and gets
-        none, or each scene has its camera elsewhere; the images are not those of the sensor, binned, or lack
-        the direct and hidden light; a number is not positive or too large; or `out` contains other things
-        than earlier results.
+    EvaluationError : the split has no scenes; the run does not fit the images, or these not the sensor; a
+        number is not positive or too large; or `out` contains other things than earlier results.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     """
     run, out = run_folder(run), Path(out).resolve()
