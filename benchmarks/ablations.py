@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import read_settings
+from itof.metrics import Summary, image_metrics, no_object_metrics, summarise
 from model.data.feed import Feed
 from model.data.shards import Shards, open_shards
-from model.network.metrics import Summary, image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from model.settings.keys import merged, tables
 from model.settings.presets import training_preset

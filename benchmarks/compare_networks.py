@@ -17,9 +17,9 @@ from pathlib import Path
 
 from ablations import cells, judged
 
+from itof.metrics import no_object_metrics, summarise
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
-from model.network.metrics import no_object_metrics, summarise
 from model.prediction.predictor import load
 from scenegen import open_dataset
 

@@ -13,10 +13,10 @@ import numpy as np
 from ablations import BATCH, cells, judged
 
 from itof import depth_from_phase, phase
+from itof.metrics import Summary, image_metrics, summarise
 from model.data.corner import wall_view
 from model.data.feed import Feed
 from model.data.shards import Shards, open_shards
-from model.network.metrics import Summary, image_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from scenegen import open_dataset
 

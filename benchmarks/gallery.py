@@ -22,11 +22,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from itof import DepthMap
+from itof.metrics import ImageMetrics, image_metrics
 from itof.pictures.figures import BACKGROUND, depth_range, write_figure
 from model.data.corner import wall_view
 from model.data.feed import Feed
 from model.data.shards import open_shards
-from model.network.metrics import ImageMetrics, image_metrics
 from model.prediction.expected_error import probabilities
 from model.prediction.predictor import BATCH, load
 from scenegen import open_dataset

@@ -20,13 +20,13 @@ import torch
 from ablations import cells
 from torch import Tensor
 
+from itof.metrics import image_metrics, summarise
 from itof.wall.wall_view import WallView
 from model.data.batches import BatchMaker
 from model.data.channel_scaling import fit_input_spec
 from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
 from model.network.channels import InputSpec
-from model.network.metrics import image_metrics, summarise
 from scenegen import open_dataset
 
 READ_AT_ONCE = 64

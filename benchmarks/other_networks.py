@@ -21,10 +21,10 @@ from ablations import cells, judged
 from torch import Tensor, nn
 from torch.nn import functional
 
+from itof.metrics import Summary
 from model.data.shards import Shards, open_shards
 from model.network.loss import MaskAndDepthLoss
 from model.network.mask_and_depth import log_error
-from model.network.metrics import Summary
 from model.network.unet import LEVELS, UNet
 from model.prediction.predictor import load
 from model.run_folder import run_config

@@ -23,10 +23,10 @@ from out_of_range import with_noise
 from wall_error import moved_wall
 
 from itof import DepthMap, pixel_rays
+from itof.metrics import ImageMetrics, image_metrics, summarise
 from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.shards import Shards, open_shards
-from model.network.metrics import ImageMetrics, image_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from model.refinement.family import Family
 from model.refinement.light.corner_light import CornerLight, known_corner

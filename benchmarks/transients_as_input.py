@@ -18,8 +18,8 @@ from pathlib import Path
 
 from ablations import Row, judged, line
 
+from itof.metrics import Summary
 from model.data.shards import Shards, open_shards
-from model.network.metrics import Summary
 from model.prediction.predictor import load
 from model.settings.keys import merged
 from model.settings.presets import training_preset

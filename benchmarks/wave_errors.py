@@ -16,11 +16,11 @@ import numpy as np
 from ablations import cells
 
 from itof import DepthMap, read_image
+from itof.metrics import Summary, image_metrics, summarise
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.cameras import load_sensor
 from itof.sensor.imperfections import without
 from itof.sensor.settings import SensorSettings
-from model.network.metrics import Summary, image_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, Dataset, open_dataset
 

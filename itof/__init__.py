@@ -1,4 +1,4 @@
-"""iToF measurements: phasors, phase, depth, network channels, and the EXR files of images and transients.
+"""iToF measurements: phasors, phase, depth and its metrics, channels, and EXR files of images and transients.
 
 Imports no other package of NIGHT but the basement (`disk`, `processes`). Sub-packages: `exr` (image
 files), `files` (measurement files), `capture` (raw frames of a camera), `sensor` (a model of one), `wall`

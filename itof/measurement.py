@@ -23,10 +23,9 @@ class MeasurementMatrix:
     bin_count : T, number of time bins.
     bin_width_m : bin width in *optical path length* (out and back), metres.
     start_opl_m : optical path length where the first bin begins, metres.
-    splat : how returns were put into bins (`itof.splat`). ``point``: Φ is exp(j 2π f tau_t). ``tent``: each
-        return was split linearly between the two nearest bin centres, ``quadratic``: over the three nearest
-        bins. This multiplies phasors by sinc²(f w / c) or sinc³(f w / c), and Φ divides by this factor. What
-        Φ cannot undo is `itof.splat_residue`.
+    splat : how returns were put into bins (`itof.splat`): ``point``, Φ is exp(j 2π f tau_t); ``tent`` or
+        ``quadratic``, it divides by sinc²(f w / c) or sinc³(f w / c). What Φ cannot undo is
+        `itof.splat_residue`.
 
     Raises
     ------

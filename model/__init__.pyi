@@ -1,5 +1,5 @@
 from .judging.evaluation import evaluate
-from .judging.exposures.sweep import judge_exposures
+from .judging.exposures import judge_exposures
 from .network.channels import InputSpec
 from .network.readout import Readout
 from .network.unet import UNet

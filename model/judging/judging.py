@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
 from itof import DepthMap, phasor_of_return
+from itof.metrics import summarise
 from itof.pictures.pointclouds import (
     TRUTH_COLOUR,
     distance_colours,
@@ -30,7 +31,6 @@ from model.judging.reliability import DepthReliabilityCount, ReliabilityCount
 from model.judging.results import Report
 from model.judging.scene_result import SceneResult, judge_scene
 from model.judging.showcase import ShownScene
-from model.network.metrics import summarise
 from model.network.readout import Readout
 from model.prediction.explained_light import ExplainedLight
 from model.prediction.predictor import BATCH, Predictor

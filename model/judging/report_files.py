@@ -14,10 +14,10 @@ from disk import whole_file, write_text
 from disk.counted import counted
 from disk.own_files import hashes_of
 from disk.plain_file import MOST_LIST_BYTES, read_plain
+from itof.metrics import Statistics
 from model.judging.calibration import Calibration
 from model.judging.groups import Group
 from model.judging.results import PAPER, Report, scene_numbers
-from model.network.metrics import Statistics
 
 REPORT_SCHEMA = 1
 METRICS_FILE = "metrics.json"

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from disk.counted import counted
+from itof.metrics import Statistics, Summary
 from model.judging.calibration import Calibration
 from model.judging.groups import GroupTable
 from model.judging.reliability import DepthReliability, Reliability
 from model.judging.scene_result import SceneResult
-from model.judging.table_one import AccuracyHistogram, accuracy_histogram
-from model.network.metrics import Statistics, Summary
 from scenegen import Split
 
 PAPER_RELATIVE_MAE = (0.01, 0.02)  # about; of a mean distance of about 3 m
@@ -22,6 +23,56 @@ PAPER = {
     "relative_mae": dict(zip(("from", "to"), PAPER_RELATIVE_MAE, strict=True)),
     "miou": {"mean": 0.77, "std": 0.12, "min": 0.48, "max": 0.95},
 }
+# Caligiuri et al. 2024, Table 1: the bars of the plot beside it, from the numbers in its source.
+PAPER_ACCURACY_FROM, PAPER_ACCURACY_TO = 0.670855179429054, 0.967640747316182
+PAPER_ACCURACY_COUNTS = (2, 6, 2, 5, 2, 2, 8, 8, 14, 15, 20, 17, 12, 12, 9)
+
+
+@dataclass(frozen=True)
+class AccuracyHistogram:
+    """Numbers of scenes by accuracy, in the bins of the paper's plot.
+
+    Attributes
+    ----------
+    edges : (n + 1,) ends of the bins.
+    counts, paper_counts : (n,) scenes in the bins, ours and the paper's.
+    below, above : our scenes outside all bins.
+    """
+
+    edges: tuple[float, ...]
+    counts: tuple[int, ...]
+    paper_counts: tuple[int, ...]
+    below: int
+    above: int
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """(n,) parts of all our scenes, also of those outside the bins."""
+        return tuple(count / (sum(self.counts) + self.below + self.above) for count in self.counts)
+
+    @property
+    def paper_shares(self) -> tuple[float, ...]:
+        """(n,) parts of all of the paper's scenes."""
+        return tuple(count / sum(self.paper_counts) for count in self.paper_counts)
+
+    @property
+    def paper_mean(self) -> float:
+        """Mean accuracy of the paper's scenes, each at the middle of its bin."""
+        middles = (np.array(self.edges[:-1]) + self.edges[1:]) / 2
+        return float(np.average(middles, weights=self.paper_counts))
+
+
+def accuracy_histogram(scenes: Sequence[SceneResult]) -> AccuracyHistogram:
+    """Scenes by accuracy in the paper's 15 bins; the last bin includes its upper end."""
+    values = np.array([scene.prediction.accuracy for scene in scenes])
+    edges = np.linspace(PAPER_ACCURACY_FROM, PAPER_ACCURACY_TO, len(PAPER_ACCURACY_COUNTS) + 1)
+    return AccuracyHistogram(
+        edges=tuple(edges.tolist()),
+        counts=tuple(np.histogram(values, edges)[0].tolist()),
+        paper_counts=PAPER_ACCURACY_COUNTS,
+        below=int(np.count_nonzero(values < edges[0])),
+        above=int(np.count_nonzero(values > edges[-1])),
+    )
 
 
 class Measure(NamedTuple):

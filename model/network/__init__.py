@@ -1,7 +1,7 @@
-"""The network as a function: input channels, layers, readout, loss and metrics.
+"""The network as a function: input channels, layers, readout and loss.
 
 `channels` and `bounce_images` make the input, `unet` is the network, `readout` reads mask and depth from the
 phasor that it predicts, `mask_and_depth` from probabilities and depths. `loss` is the loss of the latter;
-those of the paper are in `model.paper`. `metrics` compares depth maps with ground truth. May import `itof`,
-`scenegen` and `model.settings`; no other sub-package of `model`.
+those of the paper are in `model.paper`. May import `itof`, `scenegen` and `model.settings`; no other
+sub-package of `model`.
 """

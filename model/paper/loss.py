@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from model.network.readout import Readout
-from model.paper.lovasz import lovasz_jaccard
 from model.settings.target import Balance, ComponentsTarget, LossName, LossTarget
 
 
@@ -40,7 +39,7 @@ class NightLoss:
 
     *Other names.* ``mae``: L_MAE alone. ``mse``: squares instead of absolute values, with the same weights.
     ``mse+iou``: the mean of that and L_IoU. ``mae+lovasz``: the mean of L_MAE and the Lovász-Softmax loss of
-    the object (`model.paper.lovasz`) with `Readout.presence` as its probability, which is the amplitude
+    the object (`lovasz_jaccard`) with `Readout.presence` as its probability, which is the amplitude
     also where the mask comes from the depth.
 
     Attributes
@@ -119,3 +118,35 @@ def intersection_over_union(mask_pred: Tensor, mask_gt: Tensor) -> Tensor:
     intersection = (mask_pred * mask_gt).sum(dim=(1, 2))
     union = (mask_pred + mask_gt - mask_pred * mask_gt).sum(dim=(1, 2))
     return torch.where(union > 0, intersection / union.clamp_min(1), torch.ones_like(union))
+
+
+def lovasz_jaccard(probability: Tensor, mask: Tensor) -> Tensor:
+    """(N,) Lovász extension of the Jaccard loss, of (N, H, W) probabilities that a pixel shows the object.
+
+    A pixel has the error m = 1 - p on the object and m = p elsewhere. The Jaccard loss of a set M of wrong
+    pixels, with O the object, is J(M) = 1 - |O - M| / |O ∪ M|. With the errors in descending order,
+    m_1 >= m_2 >= ..., and M_i the first i pixels, the loss is
+
+        sum_i m_i (J(M_i) - J(M_(i-1))).
+
+    For probabilities 0 and 1 it is 1 - IoU. It is continuous, piecewise linear in p, and differentiable
+    except where errors are equal. Without an object it is the largest p.
+
+    Parameters
+    ----------
+    probability : in [0, 1].
+    mask : true mask, 0 or 1, of the same number type.
+
+    Source: Berman, Triki, Blaschko, "The Lovász-Softmax loss: a tractable surrogate for the optimization of
+    the intersection-over-union measure in neural networks", CVPR 2018, for one class.
+    """
+    truth = mask.flatten(1)  # (N, P)
+    error = (truth - probability.flatten(1)).abs()
+    error, order = error.sort(dim=1, descending=True, stable=True)
+    truth = truth.gather(1, order)
+    total = truth.sum(dim=1, keepdim=True)  # (N, 1)
+    kept = total - truth.cumsum(dim=1)  # |O - M_i|
+    union = total + (1 - truth).cumsum(dim=1)  # |O ∪ M_i|, at least 1
+    jaccard = 1 - kept / union  # (N, P), J(M_i)
+    step = torch.diff(jaccard, dim=1, prepend=torch.zeros_like(total))
+    return (error * step).sum(dim=1)

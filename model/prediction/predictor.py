@@ -96,10 +96,9 @@ class Predictor:
         ----------
         phasors : (H, W, F) or (N, H, W, F) complex at the frequencies `config.inputs.frequencies_hz`, in this
             order. H and W are those of the training.
-        reference : (H, W, F) complex measurement of the empty corner, up to a real factor; None for the
-            direct return that is computed from the camera and the relay wall of the run. A run with the
-            setting ``reference = "capture"`` needs it. If it shows the angle of its wall, that is where the
-            wall is taken to be (`itof.wall.empty_corner.captured_wall`).
+        reference : (H, W, F) complex measurement of the empty corner, up to a real factor, which may tell
+            where the wall is (`itof.wall.empty_corner.captured_wall`); None for the computed return. A run
+            with the setting ``reference = "capture"`` needs it.
         rescale : multiply each image so that its mean amplitude at the first frequency is the mean of the
             training scenes. Use it if the phasors have another unit than the training scenes.
         fields_of_view_deg : N full horizontal fields of view, if the images have different ones; by default

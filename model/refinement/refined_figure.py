@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from itof import DepthMap
+from itof.metrics import image_metrics
 from itof.pictures.figures import depth_range, finish_panels, plain, write_figure
-from model.network.metrics import image_metrics
 
 MOST_SCENES = 12
 _COLUMNS, _SIDE_IN = 2, 1.75  # scenes in a row; size of a depth map, inches

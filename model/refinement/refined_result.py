@@ -9,7 +9,7 @@ from typing import Any
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from disk.contract import STRICT
-from model.network.metrics import ImageMetrics, summarise, summary_cells
+from itof.metrics import ImageMetrics, summarise, summary_cells
 from model.prediction.explanation import Explanation
 
 _UNEXPLAINED = 0.2  # of the light, by most solids

@@ -18,6 +18,7 @@ from disk.contract import STRICT
 from disk.plain_file import read_text
 from disk.quantities import Vector
 from itof import DepthMap
+from itof.metrics import ImageMetrics, image_metrics
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
 from model.data.corner import wall_view
@@ -25,7 +26,6 @@ from model.data.shards import Shards, open_shards
 from model.device import one_thread
 from model.judging.judging import Bench
 from model.judging.refusals import EvaluationError
-from model.network.metrics import ImageMetrics, image_metrics
 from model.prediction.predictor import Predictor, load
 from model.refinement.explaining import explained
 from model.refinement.family import Family

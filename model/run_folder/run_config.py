@@ -1,6 +1,6 @@
 """``run.json`` of a run folder: settings, input channels, geometry and data of a training.
 
-Its last key, ``sha256``, is the checksum of the whole file (`model.run_folder.checksums`).
+Its last key, ``sha256``, is the checksum of the whole file (`disk.checksums`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from disk import NightError, PathLike, whole_file
+from disk.checksums import ZEROS, has_right_checksum, with_checksum
 from disk.contract import STRICT, checked
 from disk.plain_file import read_plain
 from disk.quantities import FieldOfView, Frequency, Positive
@@ -24,7 +25,6 @@ from model.network.channels import InputSpec
 from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet
-from model.run_folder.checksums import ZEROS, has_right_checksum, with_checksum
 from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings.fresh import FreshScenes
 from model.settings.target import ComponentsTarget, MaskAndDepthTarget

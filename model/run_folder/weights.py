@@ -16,9 +16,9 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from disk import whole_file
+from disk.checksums import label_text, labelled, read_label
 from disk.plain_file import read_plain
 from model.network.unet import UNet, least_weights
-from model.run_folder.checksums import label_text, labelled, read_label
 from model.run_folder.run_config import RunConfig, RunError
 
 WEIGHTS_FILE: Final = "best.safetensors"

@@ -4,24 +4,80 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, Final
+from math import log2
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from disk import PresetError
 from disk.contract import DOCUMENTED, checked_data
+from disk.quantities import NotNegative, Positive, WholeCount
 from model.settings.augmentation import AugmentationSettings
 from model.settings.input import InputSettings, PaperChannels
 from model.settings.keys import merged, wrong_key
-from model.settings.network import NetworkSettings
-from model.settings.optimiser import OptimiserSettings
 from model.settings.run import RunSettings
 from model.settings.target import MaskAndDepthTarget, TargetSettings
 
 MAY_CHANGE_ON_RESUME: Final = frozenset(
     {"run.max_epochs", "run.device", "run.workers", "run.progress", "run.checkpoint_minutes"}
 )
+Algorithm = Literal["adam", "muon"]
+Schedule = Literal["constant", "cosine"]
+MOST_MULTIPLE: Final = 1024  # pixels: images are enlarged to a multiple of blocks, halved at every level
+
+
+@dataclass(frozen=True, config=DOCUMENTED)
+class NetworkSettings:
+    """Sizes of the U-Net."""
+
+    width: Annotated[int, Field(ge=1, le=1_000_000)] = 48
+    """Channels of the first level; each level has twice as many as the one before. The paper: 32."""
+    levels: Annotated[int, Field(ge=1, le=8)] = 3
+    """Levels of the encoder; the paper: 5."""
+    negative_slope: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    """Slope of the ReLUs below 0. With 0, as in the paper, a long training leaves dead units
+    (notebook/experiments.md)."""
+    block: Annotated[int, Field(ge=0, le=64)] = 0
+    """Pixels per side of a position of the U-Net; the paper: 1. 0: the power of two, at most 8, with which an
+    image is about 20 positions wide."""
+
+    def __post_init__(self) -> None:
+        multiple = self.block * 2 ** (self.levels - 1)
+        if multiple > MOST_MULTIPLE:
+            raise ValueError(
+                f"{self.levels} levels and blocks of {self.block} pixels enlarge images to multiples of "
+                f"{multiple} pixels, more than {MOST_MULTIPLE}: take fewer levels or a smaller block"
+            )
+
+    def block_for(self, width: int) -> int:
+        """The block for images of so many pixels: 2 for 40 pixels and 4 for 80, if it is 0.
+
+        It is at most 8, because a position knows the details of its pixels from few features.
+        """
+        return self.block or 2 ** min(3, max(0, round(log2(width / 20))))
+
+
+@dataclass(frozen=True, config=DOCUMENTED)
+class OptimiserSettings:
+    """Algorithm, batch, learning rate and what smooths it."""
+
+    algorithm: Algorithm = "muon"
+    """Adam, as in the paper, or Muon for the inner convolutions and Adam for the other weights. Muon has a
+    smaller error after the same training (notebook/experiments.md)."""
+    learning_rate: Positive = 1e-3
+    """Step size. With both algorithms, the root mean square of a weight's step is about a fifth of it; the
+    first steps of Adam are as large as it. The paper: 1e-4."""
+    batch_size: WholeCount = 16
+    """Scenes of one training step, shared by all processes of a run."""
+    schedule: Schedule = "cosine"
+    """Learning rate: constant, as in the paper, or down to 0 along half a cosine by the last epoch."""
+    warm_up_epochs: NotNegative = 0.5
+    """Epochs in which the learning rate grows from 0; may be a fraction."""
+    clip_norm: NotNegative = 1.0
+    """Largest norm of the gradient; a longer one is scaled down to it. 0: no limit."""
+    ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.99
+    """Decay per step of the average of the weights that is validated and kept; 0: no average."""
 
 
 @dataclass(frozen=True, config=DOCUMENTED)

@@ -16,8 +16,8 @@ from typing import Any, Final
 import torch
 
 from disk import whole_file
+from disk.checksums import label_text, labelled
 from disk.plain_file import read_plain
-from model.run_folder.checksums import label_text, labelled
 from model.run_folder.run_config import RUN_SCHEMA, RunConfig, RunError
 from model.run_folder.weights import least_bytes, refuse_other_label
 

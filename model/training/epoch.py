@@ -12,10 +12,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from itof.metrics import mask_iou
 from model.data.augmentation import Draws
 from model.data.batches import Batch
 from model.network.mask_and_depth import MaskAndDepth
-from model.network.metrics import mask_iou
 from model.network.unet import UNet, average_with_flip
 from model.run_folder.history import EpochRecord
 from model.training.interruption import Interruption

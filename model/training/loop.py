@@ -14,15 +14,14 @@ from typing import Final, Literal
 import torch
 
 from disk import PathLike, remove_leftovers
+from disk.checksums import ZEROS
 from disk.counted import counted
 from itof.wall.wall_view import WallPlaceError
 from model.data.channel_scaling import fit_input_spec, largest_shift_m
 from model.data.corner import many_corners_problem, wall_view
-from model.data.object_depth import BalanceError, object_depth_m
+from model.data.object_depth import BalanceError, background_per_object, object_depth_m
 from model.data.shards import Shards, open_shards
 from model.network.channels import ChannelError
-from model.paper.class_balance import background_per_object
-from model.run_folder.checksums import ZEROS
 from model.run_folder.history import HISTORY_FILE, EpochRecord
 from model.run_folder.run_config import (
     CONFIG_FILE,

@@ -14,8 +14,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from model.device import number_type
 from model.network.unet import UNet
-from model.settings.optimiser import OptimiserSettings
-from model.settings.train_settings import TrainSettings
+from model.settings.train_settings import OptimiserSettings, TrainSettings
 from model.training.checkpoint_contents import (
     ContentsError,
     checked_adam,

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from disk.counted import counted
-from itof import megahertz
+from disk.frequency_text import megahertz
 from render.backend import Device
 from render.batch.light import BatchedLight, LightImages, suits
 from scenegen import Preset

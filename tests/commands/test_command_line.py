@@ -50,10 +50,10 @@ def test_every_command_explains_itself_and_its_options(words):
     assert all(option.help for option in options_of(*words))
 
 
-@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_every_command_knows_its_version(words):
-    done = night_here(*words, "--version")
-    assert (done.returncode, done.stdout) == (0, f"{words[0]}, version {version('night-nlos')}\n")
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_every_program_knows_its_version(program):
+    done = night_here(program, "--version")
+    assert (done.returncode, done.stdout) == (0, f"{program}, version {version('night-nlos')}\n")
 
 
 @pytest.mark.parametrize(("program", "default"), [("night-render", "render"), ("night-eval", "judge")])

@@ -5,7 +5,7 @@ import graphlib
 from functools import cache
 
 import pytest
-from source_tree import ROOMS, Import, imports, imports_in, module_of, needed_by, sources
+from source_tree import ROOMS, Import, imports, module_of, needed_by, sources
 
 BASEMENT = {"disk", "processes"}
 MAY_IMPORT = {
@@ -91,10 +91,6 @@ WINGS = {
     "model.judging.report": {"model.judging", "model.prediction", "model.network", "model.run_folder"},
     "model.judging.evaluation": {
         *("model.judging.report", "model.judging", "model.prediction", "model.data", "model.run_folder"),
-        "model.settings",
-    },
-    "model.judging.exposures": {
-        *("model.judging", "model.prediction", "model.data", "model.network", "model.run_folder"),
         "model.settings",
     },
     "model.refinement": {
@@ -257,17 +253,3 @@ def test_blender_is_loaded_in_one_place():
         if {each.module.split(".")[0] for each in imports()[module_of(file)]} & {"bpy", "bmesh", "mathutils"}
     ]
     assert loading == ["scenegen/making/blender_start.py"]  # this file first sets Blender's settings folder
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "import scenegen.making.blender",
-        "from scenegen.making import meshes, blender",
-        "from scenegen.making.blender_start import bpy",
-        "import os, scenegen.making.blender as maker",
-        "from scenegen.making.blender import BlenderMaker",
-    ],
-)
-def test_every_way_to_import_a_blender_file_is_seen(line):
-    assert len(imports_of_blender(imports_in(ast.parse(line)))) == 1

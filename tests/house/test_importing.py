@@ -117,7 +117,7 @@ def imported(tree):
 @pytest.mark.parametrize(
     "file", [file for file in files() if file.endswith("/__init__.py") and file.count("/") == 2]
 )
-def test_a_wing_says_in_three_to_six_lines_what_lives_there_and_imports_nothing(file):
+def test_a_wing_says_what_lives_there_and_imports_nothing(file):
     tree = sources()[file]
-    assert 3 <= len(ast.get_docstring(tree).splitlines()) <= 6
+    assert ast.get_docstring(tree)
     assert len(tree.body) == 1

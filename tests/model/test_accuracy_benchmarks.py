@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from training_runs import SEEING, train_on_one_thread
 
+from itof.metrics import image_metrics, summarise
 from model.data.shards import open_shards
-from model.network.metrics import image_metrics, summarise
 from model.prediction.predictor import load
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

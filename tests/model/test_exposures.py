@@ -18,7 +18,7 @@ from itof.sensor.noise import phase_noise_rad
 from itof.sensor.scene_camera import SceneCamera, hidden_snr
 from itof.sensor.settings import SensorSettings
 from model.data.shards import open_shards
-from model.judging.exposures.sweep import _Work, judge_exposures
+from model.judging.exposures import _Work, judge_exposures
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
 

@@ -12,8 +12,8 @@ import torch
 from night_commands import refusal
 from training_runs import checkpoint, config_of, train_on_one_thread
 
+from disk.checksums import label_text, labelled
 from model.prediction.predictor import load
-from model.run_folder.checksums import label_text, labelled
 from model.run_folder.run_config import RunError, read_config
 from model.training.checkpoint import load_checkpoint, save_checkpoint
 from model.training.checkpoint_contents import checked_position

@@ -19,8 +19,8 @@ from training_runs import (
     train_on_one_thread,
 )
 
+from disk.checksums import labelled, read_label, with_checksum
 from model.prediction.predictor import load
-from model.run_folder.checksums import labelled, read_label, with_checksum
 from model.run_folder.history import read_history
 from model.run_folder.run_config import RunError, read_config, run_id_of
 from model.training.checkpoint import load_checkpoint

@@ -15,7 +15,7 @@ from itof.pictures.pointclouds import (
     write_point_cloud,
 )
 from model.judging.evaluation import evaluate
-from model.judging.report.clouds_figure import clouds_figure
+from model.judging.report.report_scenes import clouds_figure
 from model.judging.showcase import cloud_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -103,7 +103,7 @@ def test_the_head_finds_which_pixels_have_large_errors():
         found_m = READOUT.depth_error_m(network(spread[:, None, None, None].expand(8, 1, 12, 12)))
     truth_m = READOUT.depth_spread_m * 0.05 * 40.0**spread * (2 / math.pi) ** 0.5
     ratio = found_m.mean(dim=(1, 2)) / truth_m
-    assert ratio.min() > 0.6
+    assert ratio.min() > 0.6  # the ratios above, and as much again
     assert ratio.max() < 1.6
     assert truth_m.max() / truth_m.min() > 15
 

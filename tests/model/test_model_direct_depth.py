@@ -10,7 +10,7 @@ from training_runs import FLIP, assert_same_end, config_of, settings
 
 from disk import PresetError
 from itof import DepthMap, phasor_of_return
-from model.network.metrics import image_metrics, no_object_metrics, summarise
+from itof.metrics import image_metrics, no_object_metrics, summarise
 from model.network.readout import Readout
 from model.paper.loss import NightLoss
 from model.prediction.predictor import load

@@ -203,13 +203,3 @@ def test_night_eval_judges_where_no_other_command_is_named(finished_run, closed_
     assert "Missing argument 'DATASET'" in refusal("night-eval", finished_run)
     zero = refusal("night-eval", finished_run, data, *out, "--mask-threshold", 0)
     assert "not in the range x>0" in zero
-
-
-def test_night_eval_explains_its_three_uses():
-    text = night_here("night-eval", "--help").stdout
-    for words in ("night-eval RUN DATASET --out", "night-eval predict RUN INPUT --out", "export RUN --out"):
-        assert words in text
-    assert "--split" in text
-    assert "--mask-threshold" in text
-    for command, words in (("predict", "frequencies_hz"), ("export", "components"), ("judge", "--split")):
-        assert words in night_here("night-eval", command, "--help").stdout

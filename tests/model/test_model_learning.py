@@ -11,9 +11,9 @@ from synthetic_dataset import write_synthetic_dataset
 from training_runs import FLIP, settings
 
 from itof import phasor_of_return
+from itof.metrics import image_metrics
 from model.data.shards import open_shards
 from model.judging.evaluation import evaluate
-from model.network.metrics import image_metrics
 from model.network.readout import Readout
 from model.paper.loss import NightLoss
 from model.training.loop import train

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from model.paper.lovasz import lovasz_jaccard
+from model.paper.loss import lovasz_jaccard
 
 SHAPE = (2, 3)
 PIXELS = range(6)

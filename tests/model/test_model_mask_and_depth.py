@@ -13,11 +13,11 @@ from torch.nn import functional
 from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
 
 from itof import phasor_of_return, read_image, write_image
+from itof.metrics import image_metrics, no_object_metrics, summarise
 from model.data.object_depth import LEAST_SPREAD_M, BalanceError, object_depth_m
 from model.data.rows import RowBlock
 from model.network.loss import MaskAndDepthLoss
 from model.network.mask_and_depth import MaskAndDepth
-from model.network.metrics import image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config
 from model.training.loop import train

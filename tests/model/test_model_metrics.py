@@ -6,7 +6,7 @@ import torch
 from sklearn.metrics import jaccard_score, mean_absolute_error
 from torchmetrics import JaccardIndex, MeanAbsoluteError
 
-from model.network.metrics import image_metrics, no_object_metrics, summarise
+from itof.metrics import image_metrics, no_object_metrics, summarise
 
 MASK_GT = np.array([[1, 1, 0], [0, 0, 0]], bool)
 DEPTH_GT = np.array([[3.0, 3.2, 0], [0, 0, 0]])

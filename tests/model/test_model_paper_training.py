@@ -8,9 +8,9 @@ import torch
 from synthetic_dataset import edit_image, write_synthetic_dataset
 from training_runs import as_tables, assert_same_end, config_of, edit_config, edit_settings, settings
 
+from itof.metrics import image_metrics
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
-from model.network.metrics import image_metrics
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError, read_config
 from model.settings.keys import merged

@@ -9,10 +9,10 @@ import pytest
 from training_runs import train_on_one_thread
 
 from itof import DepthMap, phasor_of_return
+from itof.metrics import image_metrics
 from model.judging.evaluation import evaluate
 from model.judging.reliability import DepthReliabilityCount, Reliability, ReliabilityCount
 from model.judging.report.charts import depth_error_charts, uncertainty_charts
-from model.network.metrics import image_metrics
 from model.prediction.expected_error import expected_mae_m
 from model.prediction.predictor import load
 

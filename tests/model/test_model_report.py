@@ -11,11 +11,11 @@ import training_runs
 from report_pages import AT_NIGHT, WITH_WEBGL, WITHOUT_WEBGL, Page, browse, needs_chromium
 from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 
+from itof.metrics import image_metrics
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
 from model.judging.report.chart_png import chart_figure
 from model.judging.report.charts import training_curves
-from model.network.metrics import image_metrics
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.training.loop import train

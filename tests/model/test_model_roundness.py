@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scene_views import shown
 
+from itof.metrics import summarise
 from model.judging.calibration import Calibration, ThresholdCurve
 from model.judging.report.chart_png import chart_figure
 from model.judging.report.charts import roundness_chart
 from model.judging.report_files import write_files
 from model.judging.results import Report
-from model.judging.roundness import SAMPLES, disc_iou
-from model.network.metrics import summarise
+from model.judging.scene_result import SAMPLES, disc_iou
 from model.network.readout import Readout
 
 HEIGHT, WIDTH = 90, 130

@@ -9,7 +9,7 @@ import pytest
 from scene_views import shown
 
 from model.judging.report.charts import distributions
-from model.judging.table_one import PAPER_ACCURACY_COUNTS, accuracy_histogram
+from model.judging.results import PAPER_ACCURACY_COUNTS, accuracy_histogram
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from itof import phasor_of_return
+from itof.metrics import image_metrics
 from model.judging.calibration import SWEEP, ThresholdSweep, output_of
-from model.network.metrics import image_metrics
 from model.network.readout import Readout
 from model.prediction.predictor import read_output
 

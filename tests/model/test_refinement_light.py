@@ -203,6 +203,7 @@ def test_extents_are_found_too(seven, lit, comparison):
     (fit,) = least_misfits([(found, start)], steps=10, fitted=Fitted(sizes=True))
     (fit,) = least_misfits([found.behind(fit.candidate)], steps=6, fitted=Fitted(sizes=True))
     size_m = fit.candidate.hidden_objects[0].size_m
+    # Coarse light is good to 3 %, and light goes at least with the size.
     np.testing.assert_allclose(size_m, true.hidden_objects[0].size_m, rtol=0.03)
 
 
@@ -220,6 +221,7 @@ def test_the_reflectance_is_found_too(seven, lit, comparison):
     true = seven.scene(seven.ids()[1])
     white = comparison(0.4 * hidden + direct)
     found, true = replace(white, reflectance=None).behind(true)
+    # Fine light is good to 1 % (`render.batch.candidates`); twice that.
     assert found.reflectance_of(true) == pytest.approx(0.4, rel=0.02)
     assert white.relative(white.misfits([true])[0]) > 1
     assert found.relative(found.misfits([true])[0]) < 0.02

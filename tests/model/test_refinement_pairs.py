@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from itof import DepthMap, TransientLayout, pixel_rays
+from itof.metrics import image_metrics
 from model.data.corner import wall_view
-from model.network.metrics import image_metrics
 from model.prediction.explanation import Explanation, FoundSolid
 from model.refinement.evidence import Prior
 from model.refinement.family import family_of

@@ -1,7 +1,6 @@
 """The start of workers: addresses that are no scheduler's, too few open files, workers that are killed."""
 
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -15,7 +14,7 @@ import pytest
 from dask_processes import dask_processes
 from distributed import Client
 from night_commands import night_here
-from render_runs import SETTINGS, is_worker, results, start_render, wait_for, workers_of
+from render_runs import SETTINGS, begun, claim_of, is_worker, results, start_render, wait_for, workers_of
 
 from render.farm.clusters import check_cluster, connected
 from render.farm.dask_settings import ClusterError, dask_settings
@@ -249,33 +248,31 @@ def test_workers_that_do_not_start_in_time_end_the_run_in_one_sentence(unrendere
     assert not [child for child in psutil.Process().children() if is_worker(child)]
 
 
+def has_loaded_mitsuba(worker):
+    with suppress(psutil.NoSuchProcess):
+        return any("mitsuba" in mapped.path for mapped in worker.memory_maps())
+    return False
+
+
 @pytest.mark.thorough
-def test_processes_killed_at_any_moment_of_the_start_change_no_result(unrendered, seven_renders):
-    """At four moments between the start of its worker and the end of a command, the worker is killed."""
-
-    def rendered(kill_after_s):
-        shutil.rmtree(unrendered / "renders" / "000000", ignore_errors=True)
-        process = start_render(unrendered, "--workers", "1", "--only", "000000")
-        if kill_after_s is not None:
-            wait_for(lambda: workers_of(process))
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(kill_after_s)
-        workers = workers_of(process)
-        for worker in workers:
-            with suppress(psutil.NoSuchProcess):
-                worker.kill()
-        output, errors = process.communicate()
-        assert process.returncode == 0, errors
-        assert "Traceback" not in errors
-        assert output.startswith("1 scene rendered")
-        assert not psutil.wait_procs(workers, timeout=300)[1]
-        return len(workers)
-
-    started = time.monotonic()
-    assert rendered(None) == 0
-    took_s = time.monotonic() - started
-    killed = [rendered(took_s * quarter / 4) for quarter in range(4)]
-    assert any(killed)
+@pytest.mark.parametrize("event", ["it is there", "it has loaded Mitsuba", "it has begun a scene"])
+def test_a_worker_that_is_killed_during_the_start_changes_no_result(unrendered, seven_renders, event):
+    happened = {
+        "it is there": bool,
+        "it has loaded Mitsuba": lambda workers: any(map(has_loaded_mitsuba, workers)),
+        "it has begun a scene": lambda workers: workers and begun(claim_of(unrendered, "000000")),
+    }[event]
+    process = start_render(unrendered, "--workers", "1", "--only", "000000")
+    wait_for(lambda: happened(workers_of(process)))
+    workers = workers_of(process)
+    for worker in workers:
+        with suppress(psutil.NoSuchProcess):
+            worker.kill()
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+    assert output.startswith("1 scene rendered")
+    assert not psutil.wait_procs(workers, timeout=300)[1]
     of_scene = {name: found for name, found in results(unrendered).items() if "000000/" in name}
     assert of_scene
     assert of_scene.items() <= results(seven_renders).items()

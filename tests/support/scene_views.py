@@ -3,11 +3,10 @@
 import numpy as np
 
 from itof import DepthMap
+from itof.metrics import image_metrics, no_object_metrics
 from itof.pictures.pointclouds import object_points
-from model.judging.roundness import disc_iou
-from model.judging.scene_result import SceneResult
+from model.judging.scene_result import SceneResult, disc_iou
 from model.judging.showcase import ShownScene
-from model.network.metrics import image_metrics, no_object_metrics
 
 HEIGHT, WIDTH = 12, 20
 FOV_DEG = 60.0

@@ -10,7 +10,7 @@ from dataclasses import asdict, is_dataclass
 import torch
 from safetensors.torch import load_file
 
-from model.run_folder.checksums import with_checksum
+from disk.checksums import with_checksum
 from model.run_folder.weights import save_weights
 from model.settings.keys import all_keys, merged, tables
 from model.settings.train_settings import TrainSettings, flat_settings, settings_from_dict

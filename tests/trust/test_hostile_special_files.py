@@ -11,7 +11,7 @@ from disk import NightError, PresetError
 from disk.plain_file import read_plain
 from itof.capture.sidecar_files import load_sidecar
 from itof.sensor.cameras import load_sensor
-from model.judging.exposures.results import files_of_exposures
+from model.judging.exposure_results import files_of_exposures
 from model.judging.report_files import files_of_report
 from model.prediction.prediction_files import files_of_prediction
 from model.refinement.work import read_result

@@ -11,9 +11,9 @@ import torch
 from night_commands import refusal
 from training_runs import checkpoint, config_of, edit_checkpoint, edit_config, edit_settings, settings
 
+from disk.checksums import label_text, labelled
 from itof.files.measurement_files import MeasurementError, read_measurement
 from model.prediction.predictor import load
-from model.run_folder.checksums import label_text, labelled
 from model.run_folder.run_config import RUN_SCHEMA, RunError
 from model.training.loop import train
 

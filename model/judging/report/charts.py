@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from itof.metrics import ImageMetrics
 from model.judging.calibration import Calibration, ThresholdCurve
 from model.judging.reliability import BINS
 from model.judging.results import Report
-from model.network.metrics import ImageMetrics
 from model.run_folder.history import kept_epoch
 
 Colour = Literal["text", "baseline", "prediction", "truth"]  # CSS variables of the page

@@ -7,7 +7,7 @@ folder of the samples, where the file is not damaged yet, and the damaged bytes;
 import json
 
 from disk import sha256_of
-from model.run_folder.checksums import labelled, read_label, with_checksum
+from disk.checksums import labelled, read_label, with_checksum
 from scenegen.scene_folder import digest_of
 
 RENDER = "data/renders/000000"

@@ -1,21 +1,27 @@
-"""Results of a network behind a modelled camera: one row for each exposure or imperfection."""
+"""Results of a network behind a modelled camera: one row for each exposure or imperfection, and a picture."""
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
 from disk import whole_file, write_text
 from disk.own_files import hashes_of
 from disk.plain_file import MOST_LIST_BYTES, read_plain
+from itof.metrics import NUMBERS, Statistics, Summary, summary_cells
+from itof.pictures.figures import write_figure
 from itof.sensor.settings import SensorSettings
-from model.network.metrics import NUMBERS, Summary, summary_cells
 
 EXPOSURE_SCHEMA = 1
 RESULT_FILE, TABLE_FILE, FIGURE_FILE = "exposures.json", "exposures.csv", "exposures.png"
+_BLUE, _ORANGE, _GREY = "#0b6fb8", "#d9730d", "#5f6770"
 
 
 @dataclass(frozen=True)
@@ -138,3 +144,51 @@ def _flat(row: ExposureRow) -> dict[str, Any]:
         numbers[name] = None if found is None else found.mean
         numbers[f"{name}_error"] = None if found is None else found.standard_error
     return numbers
+
+
+def write_exposure_figure(file: Path, report: ExposureReport) -> None:
+    """Write a PNG with three charts: MAE, mIoU, and hidden light over noise (Cramer-Rao bound)."""
+    rows = report.rows
+    light_ms = [1e3 * row.light_s for row in rows]
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    error, overlap, noise = figure.subplots(1, 3)
+    for axes, values, deviation, perfect, nothing, title in (
+        (
+            error,
+            [100 * row.metrics.depth_mae_m.mean for row in rows],
+            [100 * _bar(row.metrics.depth_mae_m) for row in rows],
+            *(100 * each.depth_mae_m.mean for each in (report.perfect, report.no_object)),
+            "MAE, cm",
+        ),
+        (
+            overlap,
+            [row.metrics.miou.mean for row in rows],
+            [_bar(row.metrics.miou) for row in rows],
+            *(each.miou.mean for each in (report.perfect, report.no_object)),
+            "mIoU",
+        ),
+    ):
+        axes.errorbar(light_ms, values, deviation, color=_BLUE, marker="o", markersize=4, label="camera")
+        axes.axhline(perfect, color=_ORANGE, linestyle="--", linewidth=1.2, label="phasors as rendered")
+        axes.axhline(nothing, color=_GREY, linestyle=":", linewidth=1.2, label="no object")
+        axes.set_ylabel(title)
+        axes.legend(fontsize=8, frameon=False)
+    error.set_ylim(bottom=0)
+    bounds = [row.snr_pixel for row in rows]
+    if all(bound is not None for bound in bounds):
+        noise.plot(light_ms, bounds, color=_BLUE, marker="o", markersize=4)
+        noise.set_yscale("log")
+    noise.axhline(1, color=_GREY, linestyle=":", linewidth=1.2)
+    noise.set_ylabel("hidden light / noise of a pixel")
+    for axes in (error, overlap, noise):
+        axes.set_xscale("log")
+        axes.set_xlabel("light of all raw frames, ms")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(color="#dde1e6", linewidth=0.6)
+    write_figure(file, figure)
+
+
+def _bar(found: Statistics) -> float:
+    """Length of an error bar; NaN, which is not drawn, if one scene does not tell it."""
+    return math.nan if found.standard_error is None else found.standard_error

@@ -13,6 +13,7 @@ import numpy as np
 from disk import PathLike, whole_folder
 from disk.own_files import refuse_other_files
 from itof import ImageFileError, read_image
+from itof.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics, summarise
 from itof.sensor.imperfections import cameras_by_imperfection
 from itof.sensor.scene_camera import MeasuredScene, SceneCamera
 from itof.sensor.settings import MOST_FRAMES, SensorSettings
@@ -20,8 +21,13 @@ from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards, open_shards
-from model.judging.exposures.figure import write_exposure_figure
-from model.judging.exposures.results import FIGURE_FILE, ExposureReport, ExposureRow, files_of_exposures
+from model.judging.exposure_results import (
+    FIGURE_FILE,
+    ExposureReport,
+    ExposureRow,
+    files_of_exposures,
+    write_exposure_figure,
+)
 from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
     EvaluationError,
@@ -31,7 +37,6 @@ from model.judging.refusals import (
     refuse_other_images,
 )
 from model.network.channels import ChannelError
-from model.network.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics, summarise
 from model.prediction.predictor import Predictor, load
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
@@ -78,10 +83,8 @@ def judge_exposures(
 
     Raises
     ------
-    EvaluationError : the split has no scenes, the run was trained for other images, needs a capture and gets
-        none, or each scene has its camera elsewhere; the images are not those of the sensor, binned, or lack
-        the direct and hidden light; a number is not positive or too large; or `out` contains other things
-        than earlier results.
+    EvaluationError : the split has no scenes; the run does not fit the images, or these not the sensor; a
+        number is not positive or too large; or `out` contains other things than earlier results.
     RunError, DeviceError, ShardError, ImageFileError : run, device or renders cannot be used.
     """
     run, out = run_folder(run), Path(out).resolve()
