@@ -27,6 +27,7 @@ from scenegen.scene import Scene
 Floats = NDArray[np.float64]
 _DAMPING, _MORE, _LESS, _LEAST_DAMPING = 1e-2, 4.0, 0.2, 1e-5
 _REFLECTANCE = (0.01, 1.5)  # above 1: the model and its quadrature may be too dark
+_ROUNDS: Final = 2  # of the reflectance: phases are not quite in proportion to the light of bright objects
 _TRIALS = 4  # of larger damping, before it is a minimum
 _REUSED: Final = 2
 _RIDGE: Final = 1e-12
@@ -121,11 +122,19 @@ def _hidden(asked: Asked) -> list[tuple[NDArray[np.complex128], float]]:
             white = white + comparison.lacking
         reflectance = comparison.reflectance
         if reflectance is None:
-            light = comparison.observed.of_model(white)
-            power = max(float(light @ light), float(np.finfo(float).tiny))
-            reflectance = float(np.clip(light @ comparison.observed.values / power, *_REFLECTANCE))
+            reflectance = _likeliest_reflectance(comparison.observed, white)
         found.append((reflectance * white, reflectance))
     return found
+
+
+def _likeliest_reflectance(observed: HiddenLight, white: NDArray[np.complex128]) -> float:
+    """The reflectance of objects with which the light (P, F) of white ones explains most."""
+    reflectance = 1.0
+    for _ in range(_ROUNDS):
+        light = observed.of_model(reflectance * white)
+        power = max(float(light @ light), float(np.finfo(float).tiny))
+        reflectance = float(np.clip(reflectance * (light @ observed.values) / power, *_REFLECTANCE))
+    return reflectance
 
 
 def _light(comparison: Comparison, placed: Sequence[Scene]) -> NDArray[np.complex128]:

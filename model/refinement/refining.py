@@ -155,6 +155,8 @@ def without_edges(
     if observed is None:
         return phasor
     placed = Comparison(observed, corner, light, False, knows_camera=knows_camera).placed(corner)
-    seen = light.sees_wall([placed], wall.rays.reshape(-1, 3)).reshape(phasor.shape[:2])
-    whole = binary_erosion(seen, np.ones((3, 3)), border_value=1)
+    film = wall.rays / wall.rays[..., 2:]
+    wider = np.pad(film, ((1, 1), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")  # by a pixel
+    seen = light.sees_wall([placed], wider.reshape(-1, 3)).reshape(wider.shape[:2])
+    whole = binary_erosion(seen, np.ones((3, 3)))[1:-1, 1:-1]
     return np.where(whole[..., None], phasor, 0)
