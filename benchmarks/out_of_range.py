@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from model.data.shards import open_shards
 from model.prediction.predictor import load
 from scenegen import open_dataset
-from scenegen.preset import ShapeSizes
+from scenegen.object_settings import ShapeSizes
 from scenegen.shapes import PRIMITIVES
 
 Phasors = NDArray[np.complexfloating]

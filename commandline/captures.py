@@ -1,4 +1,4 @@
-"""The commands of ``night-eval capture``: import, check and pairs."""
+"""The commands of ``night-eval capture``: import, check, corner and pairs."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import click
 from commandline.endings import NightGroup, Refusal
 from commandline.options import FOLDER, Number, Size, options
 from commandline.results import JSON, tell
+from disk import PresetError
 from scenegen import load_preset
 
 _SIDECAR = "TOML file that says what the frames mean, or a known format: espros, flat, night-authors."
+EMPTY = click.option(
+    "--empty", multiple=True, type=FOLDER, help="Capture of the empty corner; may be repeated."
+)
 FRAMES = options(
     click.option(
         "--set", "changes", multiple=True, metavar="'KEY = VALUE'", help="Change a key of the sidecar."
     ),
-    click.option("--empty", multiple=True, type=FOLDER, help="Capture of the empty corner; may be repeated."),
     click.option(
         "--bin", "bin_side", type=click.IntRange(min=1), help="Sensor pixels a side of an image pixel."
     ),
@@ -43,6 +46,7 @@ def capture() -> None:
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FOLDER)
 @click.option("--sidecar", required=True, type=FOLDER, help=_SIDECAR)
 @click.option("--out", required=True, type=FOLDER, help="File to write: .npz, .h5 or .hdf5.")
+@EMPTY
 @FRAMES
 @JSON
 def import_(inputs: tuple[Path, ...], sidecar: Path, out: Path, as_json: bool, **given: Any) -> None:
@@ -62,6 +66,7 @@ def import_(inputs: tuple[Path, ...], sidecar: Path, out: Path, as_json: bool, *
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FOLDER)
 @click.option("--sidecar", type=FOLDER, help=f"For raw frames: {_SIDECAR}")
 @click.option("--out", type=FOLDER, help="Picture to write, .png; only an earlier one is replaced.")
+@EMPTY
 @FRAMES
 @JSON
 def check(
@@ -69,9 +74,11 @@ def check(
 ) -> None:
     """Check a measurement file, or raw frames with a sidecar, by the wall that they show.
 
-    Ends with exit code 2 if a prediction would be useless. Needs no network.
+    Ends with exit code 2 if a prediction would be useless. Needs no network, and names those that come with
+    NIGHT and can read it.
     """
     import itof
+    from model.run_folder.networks import View, Wanted, readers
 
     if out is not None and out.suffix.lower() != ".png":
         raise click.BadParameter(f"{out} must end in .png", param_hint="--out")
@@ -82,7 +89,86 @@ def check(
         raise Refusal(
             f"{inputs[0]} is no capture of a wall to predict from: {'; '.join(done.found.warnings)}"
         )
-    tell(done.sentences, done.as_data(), as_json)
+    planes = {
+        None if wall is None or away_m is None else wall.plane_per_m
+        for wall, away_m in zip(done.found.walls, done.distances_m, strict=True)
+    }
+    views = tuple(View(done.horizontal_fov_deg, plane_per_m) for plane_per_m in planes)
+    wanted = Wanted(*done.image_size, done.frequencies_hz, views)
+    names, sentence = readers(wanted, can_be_smaller=sidecar is not None)
+    tell([*done.sentences, sentence], done.as_data() | {"networks": names}, as_json)
+
+
+@capture.command("corner", short_help="The preset of a corner from its empty wall.")
+@click.argument("inputs", metavar="EMPTY...", nargs=-1, required=True, type=FOLDER)
+@click.option("--sidecar", type=FOLDER, help=f"For raw frames: {_SIDECAR}")
+@click.option("--out", required=True, type=FOLDER, metavar="FILE", help="Preset to write, .toml.")
+@FRAMES
+@click.option(
+    "--hidden",
+    type=click.Choice(["left", "right"]),
+    help="Side of the hidden region, as seen facing the wall.  [default: where the camera is turned to]",
+)
+@click.option(
+    "--gap",
+    "gap_m",
+    type=Number(0.01, 100),
+    metavar="METRES",
+    help="From the relay wall to the middle wall.  [default: the paper's, 0.7]",
+)
+@click.option(
+    "--aside",
+    "aside_m",
+    type=Number(0.01, 100),
+    metavar="METRES",
+    help="From the camera to the plane of the middle wall.  [default: the image shows the paper's place]",
+)
+@click.option(
+    "--roll",
+    "roll_deg",
+    type=Number(-180, 180),
+    default=0.0,
+    show_default=True,
+    metavar="DEGREES",
+    help="Turn of the camera about its axis, clockwise as seen from behind.",
+)
+@click.option("--force", is_flag=True, help="Write the preset even if the wall's place is not certain.")
+@click.option("--replace", is_flag=True, help="Replace a FILE that is there.")
+@JSON
+def corner(
+    inputs: tuple[Path, ...],
+    sidecar: Path | None,
+    out: Path,
+    force: bool,
+    replace: bool,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Write the preset of the corner whose empty relay wall EMPTY shows, for `night-gen` and `night-train`.
+
+    EMPTY is a measurement file, or raw frames with a sidecar. What the wall does not show is that of the
+    paper's corner; the file says what it is.
+    """
+    import render
+    from render.pairs.captured_corner import refuse_taken
+    from scenegen.corner_check import refuse_impossible_corner
+
+    if out.suffix.lower() != ".toml":
+        raise click.BadParameter(f"{out} must end in .toml", param_hint="--out")
+    refuse_taken(out, replacing=replace)
+    found = render.captured_corner(inputs, sidecar, **given)
+    if found.doubts and not force:
+        raise Refusal(
+            f"the place of the wall in {inputs[0]} is not certain, and --force writes it nevertheless: "
+            f"{'; '.join(found.doubts)}"
+        )
+    render.write_captured_corner(found, out, replacing=replace)
+    doubts = [f"warning: {doubt}" for doubt in found.doubts]
+    tell([*doubts, *found.sentences, f"preset: {out}"], {"file": str(out), **found.as_data()}, as_json)
+    try:
+        refuse_impossible_corner(found.preset)
+    except PresetError as error:
+        raise Refusal(f"{out} needs measures of your corner: as assumed, it cannot be: {error}") from None
 
 
 @capture.command("pairs", short_help="A dataset of captures and of a mirror's.")

@@ -49,6 +49,7 @@ def night_eval() -> None:
     """Judge the network of RUN against the ground truth of DATASET, or use it.
 
     \b
+    night-eval networks                       those that come with NIGHT, and what each needs
     night-eval RUN DATASET --out REPORT       judge it (or: night-eval judge RUN DATASET ...)
     night-eval refine RUN INPUT --out DIR     find the solids that explain each measurement
     night-eval predict RUN INPUT --out DIR    depth maps of your own measurements
@@ -263,6 +264,21 @@ def export(run: Path, out: Path, as_json: bool) -> None:
 
     check = model.export_onnx(run, out)
     tell([check.sentence(out)], {"file": str(out), **asdict(check)}, as_json)
+
+
+@night_eval.command("networks", short_help="What each network needs, and how good it is.")
+@click.argument("runs", metavar="[RUN]...", nargs=-1, type=FOLDER)
+@JSON
+def list_networks(runs: tuple[Path, ...], as_json: bool) -> None:
+    """List the networks that come with NIGHT, or those of each RUN, and what each needs of a measurement.
+
+    Its image size and frequencies, its fields of view, how far the relay wall may be from where its training
+    had it, the noise of its training, and its error on validation scenes.
+    """
+    from model.run_folder.networks import networks, table
+
+    found = networks(runs)
+    tell([table(found)], {"networks": [asdict(network) for network in found]}, as_json)
 
 
 @night_eval.command("compact", short_help="The run at half its size, to publish.")

@@ -14,6 +14,7 @@ from commandline.options import FOLDER, ONLY, RENDER_RUN, RENDER_SETTINGS, Megah
 from commandline.results import JSON, tell
 from commandline.scene_pictures import PICTURE_COMMANDS
 from commandline.streams import say
+from disk.counted import counted
 from processes import showing_progress
 from scenegen import Dataset, open_dataset
 
@@ -117,7 +118,7 @@ def convert(dataset: Path, form: str, out: Path, frequencies: Any, only: tuple[s
             else:
                 convert_to_itof(opened, scene_id, out, frequencies)
             bar.update()
-    click.echo(f"{len(ids)} scenes converted in {out}")
+    click.echo(f"{counted(len(ids), 'scene')} converted in {out}")
 
 
 @night_render.command("export", short_help="All of DATASET in one HDF5 or Zarr file.")
@@ -152,10 +153,11 @@ def drop_transients(dataset: Path, only: tuple[str, ...], yes: bool) -> None:
     opened = open_dataset(dataset)
     ids = chosen_scenes(opened, only)
     found = size(transient_bytes(opened, ids))
-    confirm_deletion(f"the transients of {len(ids)} scenes, {found}, which only rendering brings back", yes)
+    chosen = counted(len(ids), "scene")
+    confirm_deletion(f"the transients of {chosen}, {found}, which only rendering brings back", yes)
     with showing_progress(len(ids), "scene", "check") as bar:
         freed = delete_transients(opened, ids, bar.update)
-    click.echo(f"{len(ids)} scenes have no transients now: {size(freed)} freed")
+    click.echo(f"{size(freed)} freed: the transients of {chosen} are deleted")
 
 
 def _settings(dataset: Dataset, options: Mapping[str, Any]) -> RenderSettings:

@@ -48,6 +48,7 @@ class Bounds:
 
 FARTHEST_M = 1000
 MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 170.0  # also least of an image that is imported
+LENGTH = Bounds(1e-4, 1000, "m")  # float32 coordinates cannot hold thinner objects
 FREQUENCY = Bounds(1e6, 1e10, "Hz", below="give Hz, as 20e6 for 20 MHz")  # cameras modulate within
 TRANSMITTED = Bounds(1e-6, 1)  # part of the light or of its electrons
 BIN_WIDTH = Bounds(1e-9, 1e6, "m")  # of a transient file of any program; those of presets are a `Length`
@@ -69,6 +70,7 @@ CosinePower = Annotated[float, Bounds(0, 100)]
 DutyCycle = Annotated[float, Bounds(0.001, 0.999)]
 SpreadOverWidth = Annotated[float, Bounds(1e-4, 10)]
 TapMismatch = Annotated[float, Bounds(-0.99, 0.99)]
+SizeFactor = Annotated[float, Bounds(0.01, 100)]
 ClassName = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]  # a shape, or a mesh's file
 
 # Lengths and angles.
@@ -76,7 +78,7 @@ _Coordinate = Annotated[float, Bounds(-1e6, 1e6)]  # metres or degrees, also bey
 Vector = tuple[_Coordinate, _Coordinate, _Coordinate]
 Metres = Annotated[float, Bounds(-FARTHEST_M, FARTHEST_M, "m")]
 Distance = Annotated[float, Bounds(0, FARTHEST_M, "m")]
-Length = Annotated[float, Bounds(1e-4, 1000, "m")]  # float32 coordinates cannot hold thinner objects
+Length = Annotated[float, LENGTH]
 LampOffset = Annotated[float, Bounds(-0.5, 0.5, "m")]
 CameraMove = Annotated[float, Bounds(0, 100, "m")]
 Degrees = Annotated[float, Bounds(-360, 360, "degrees")]

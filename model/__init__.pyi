@@ -10,6 +10,7 @@ from .prediction.predictor import Predictor, load
 from .refinement.judged_refinement import refine_split
 from .refinement.refined_file import refine
 from .run_folder.compact import compact
+from .run_folder.networks import networks
 from .run_folder.run_config import fine_tuning_settings, run_settings
 from .run_folder.shipped import shipped_runs
 from .settings.keys import merged
@@ -31,6 +32,7 @@ __all__ = [
     "judge_exposures",
     "load",
     "merged",
+    "networks",
     "predict_file",
     "refine",
     "refine_split",

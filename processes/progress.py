@@ -93,7 +93,7 @@ class Lines:
 
     def _line(self) -> str:
         of = "" if self._total is None else f" of {self._total}"
-        parts = [f"{self._done}{of} {self._unit}s"]
+        parts = [f"{self._done}{of} {self._unit}{'' if of == '' and self._done == 1 else 's'}"]
         elapsed_s, count = self._printed_s - self._began_s, self._done - self._initial
         if elapsed_s > 0 and count > 0:
             parts.append(_pace(count / elapsed_s, self._unit))

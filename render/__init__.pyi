@@ -2,6 +2,7 @@ from .backend import select_variant
 from .farm.run import RunOptions, render_dataset
 from .farm.status import read_status
 from .mirror_panels import write_mirror_panels
+from .pairs.captured_corner import captured_corner, write_captured_corner
 from .pairs.pairs import write_pairs
 from .products.conversion import convert_to_itof, open_transient
 from .products.dataset_export import export_dataset
@@ -17,6 +18,7 @@ __all__ = [
     "RenderSettings",
     "Renderer",
     "RunOptions",
+    "captured_corner",
     "convert_to_itof",
     "export_dataset",
     "export_tal",
@@ -26,6 +28,7 @@ __all__ = [
     "select_variant",
     "settings_for",
     "verify",
+    "write_captured_corner",
     "write_mirror_panels",
     "write_movie",
     "write_pairs",

@@ -133,12 +133,12 @@ class Renderer:
                     yield source
 
     def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
-        """The batched engine's light of scenes, by id, where it is exact enough and some of it hidden."""
+        """The batched engine's light of scenes, by id: exact enough, and some of it hidden or none at all."""
         if self._engine is None or self.settings.bounces(self.dataset) != BOUNCES:
             return {}
         suited = [each for each in sources if suits(each.scene) and not self._is_edited(each)]
         found = self._engine.of([(each.scene, each.files) for each in suited]).items()
-        return {k: one for k, one in found if one.error <= self._engine.error and one.hidden.any()}
+        return {k: i for k, i in found if i.error <= self._engine.error and (i.hidden.any() or i.error == 0)}
 
     @cached_property
     def _engine(self) -> SceneLights | None:

@@ -20,6 +20,7 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT, ContractError, checked
+from disk.counted import counted
 from disk.inner_paths import inside
 from disk.night_error import NightError
 from disk.path_like import PathLike
@@ -131,7 +132,7 @@ class Dataset:
     def sentence(self) -> str:
         """Number of scenes in each split, as a sentence."""
         parts = [f"{len(self.ids(split))} {split}" for split in get_args(Split)]
-        return f"{len(self.ids())} scenes in {self.root}: {', '.join(parts)}"
+        return f"{counted(len(self.ids()), 'scene')} in {self.root}: {', '.join(parts)}"
 
     def entry(self, scene: str) -> SceneEntry:
         """Class and split of a scene; `DatasetError` when the dataset does not have it."""

@@ -13,8 +13,9 @@ from scipy.constants import speed_of_light
 from disk.frequency_text import megahertz
 from disk.preset_files import PresetError
 from disk.quantities import Extent
+from scenegen.object_settings import HiddenObjectSettings
 from scenegen.pose import mirror_image
-from scenegen.preset import HiddenObjectSettings, Preset
+from scenegen.preset import Preset
 from scenegen.sampling import walls_of
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
@@ -69,7 +70,7 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
     location = settings.location_m
     ranges = np.array([location.x, location.y, location.z])  # (3, 2)
     if settings.composite_fraction > 0:
-        offset = np.array(settings.composite_offset_m)
+        offset = np.array(settings.composite_offset_m) * settings.size_factor[1]
         ranges = ranges + np.array([min(offset[0], 0), max(offset[1], 0)])  # of the first and the second part
     corners = np.array(list(product(*ranges)))  # (8, 3)
     farthest_m = float(np.linalg.norm(corners - mirrored_m, axis=1).max())
@@ -80,11 +81,11 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
 def largest_radius_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> float:
     """Largest distance of a point of a hidden object from its centre, metres."""
     settings = preset.hidden_object
-    return max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
+    return settings.size_factor[1] * max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
 
 
 def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UnitMesh]) -> float:
-    """Largest distance of a point of a shape from its centre, metres."""
+    """Largest distance of a point of a shape from its centre, in its usual size, metres."""
     size_m: Extent = settings.size_m.of(shape)
     x, y, z = size_m
     if shape in meshes:

@@ -21,44 +21,25 @@ from disk.quantities import (
     MAX_FOV_DEG,
     MIN_FOV_DEG,
     CameraMove,
-    Degrees,
     Distance,
-    Extent,
     FieldOfView,
     Fraction,
     Frequency,
     Length,
     Location,
-    Metres,
     QuarterTurn,
     Reflectance,
     Rotation,
     Roughness,
     Seed,
 )
+from scenegen.object_settings import HiddenObjectSettings, distinct
 from scenegen.projector import ProjectorSettings
-from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 
 Material = Literal["rough", "diffuse"]
 MOST_BOUNCES = 64  # surfaces that light may meet on its way
 MAX_SCANLINE_VALUES = 2**31  # OpenEXR counts a scanline's values (image width x bins) in 32 bits
 _MOST_PROJECTOR_PIXELS = 2**26
-
-
-def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
-        raise ValueError(f"range [{bounds[0]:g}, {bounds[1]:g}] is empty: give the lower bound first")
-    return bounds
-
-
-MetreRange = Annotated[tuple[Metres, Metres], AfterValidator(_ascending)]
-DegreeRange = Annotated[tuple[Degrees, Degrees], AfterValidator(_ascending)]
-
-
-def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    if len(set(values)) != len(values):
-        raise ValueError("an entry occurs twice in the list")
-    return values
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -76,71 +57,6 @@ class DatasetSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class LocationRanges:
-    """Range of the hidden object's centre along each world axis, metres."""
-
-    x: MetreRange = (1.0, 1.3)
-    y: MetreRange = (0.5, 1.3)
-    z: MetreRange = (1.25, 1.95)
-
-
-@dataclass(frozen=True, config=STRICT)
-class RotationRanges:
-    """Ranges of the hidden object's XYZ Euler angles, degrees."""
-
-    x: DegreeRange = (-90.0, 90.0)
-    y: DegreeRange = (-90.0, 90.0)
-    z: DegreeRange = (-90.0, 90.0)
-
-
-@dataclass(frozen=True, config=STRICT)
-class ShapeSizes:
-    """Extents of each primitive along its own axes, and the longest side of every mesh; metres.
-
-    The paper gives only "up to 0.5 m³", which is ambiguous. With these sizes, the ratio of background to
-    object pixels is near that of the released training log (docs/science/design.md, Primitive sizes). The
-    extents of the concave plane are sagitta, chord and
-    height of an arc of radius 0.35 m over ±1 rad, 0.6 m high.
-    """
-
-    cube: Extent = (0.5, 0.5, 0.5)
-    cylinder: Extent = (0.4, 0.4, 0.55)
-    sphere: Extent = (0.56, 0.56, 0.56)
-    cone: Extent = (0.56, 0.56, 0.55)
-    concave_plane: Extent = (0.1609, 0.589, 0.6)
-    parallelepiped: Extent = (0.3, 0.3, 0.6)
-    mesh: Length = 0.5
-
-    def of(self, shape: Shape) -> Extent:
-        """Extents of a primitive along x, y and z, metres; for a mesh, its longest side three times."""
-        if shape.startswith(MESH_PREFIX):
-            return (self.mesh, self.mesh, self.mesh)
-        size: Extent = getattr(self, shape)
-        return size
-
-
-@dataclass(frozen=True, config=STRICT)
-class HiddenObjectSettings:
-    """Shapes, places, rotations and reflectance of the hidden objects.
-
-    The fraction `composite_fraction` of the scenes has two different shapes; the second one is displaced by
-    `composite_offset_m` (per axis) and turned by `composite_rotation_deg` (per angle) against the first.
-    If there is a `least_reflectance`, each scene draws one reflectance for all of its objects, evenly between
-    that and `reflectance`.
-    """
-
-    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), AfterValidator(_distinct)] = PRIMITIVES
-    composite_fraction: Fraction = 0.142857
-    location_m: LocationRanges = LocationRanges()
-    rotation_deg: RotationRanges = RotationRanges()
-    composite_offset_m: MetreRange = (-0.12, 0.15)
-    composite_rotation_deg: DegreeRange = (-45.0, 45.0)
-    size_m: ShapeSizes = ShapeSizes()
-    reflectance: Reflectance = 1.0
-    least_reflectance: Annotated[Reflectance | None, Field(exclude_if=lambda value: value is None)] = None
-
-
-@dataclass(frozen=True, config=STRICT)
 class RelayWallSettings:
     """The wall that camera and hidden object both see.
 
@@ -151,7 +67,7 @@ class RelayWallSettings:
     """
 
     material: Material = "rough"
-    roughness: Annotated[tuple[Roughness, ...], Field(min_length=1), AfterValidator(_distinct)] = (
+    roughness: Annotated[tuple[Roughness, ...], Field(min_length=1), AfterValidator(distinct)] = (
         *(0.30, 0.35, 0.40, 0.45, 0.50, 0.55, 0.60, 0.65),
         *(0.70, 0.75, 0.80, 0.85, 0.90, 0.95, 1.00),
     )
@@ -217,7 +133,7 @@ class TransientSettings:
 class ItofSettings:
     """Modulation frequencies of the camera, Hz, lowest first."""
 
-    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1), AfterValidator(_distinct)] = (
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(min_length=1), AfterValidator(distinct)] = (
         20e6,
         50e6,
         60e6,

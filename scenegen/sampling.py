@@ -11,7 +11,18 @@ import numpy as np
 from disk.night_error import NightError
 from disk.quantities import Vector
 from scenegen.preset import Preset
-from scenegen.scene import COMPOSITE, Camera, Darkening, Emitter, HiddenObject, RelayWall, Scene, Split, Wall
+from scenegen.scene import (
+    COMPOSITE,
+    EMPTY,
+    Camera,
+    Darkening,
+    Emitter,
+    HiddenObject,
+    RelayWall,
+    Scene,
+    Split,
+    Wall,
+)
 
 MAX_ATTEMPTS = 1000
 
@@ -28,15 +39,12 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
     """
     rng = np.random.default_rng([preset.dataset.seed, index, attempt])
     object_class, split = class_and_split(preset, index)
-    first = _sample_first(preset, object_class, rng)
-    parts = [first]
-    if object_class == COMPOSITE:
-        parts.append(_sample_second(preset, first, rng))
+    parts = _sample_parts(preset, object_class, rng)
     roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
     camera = _sample_camera(preset, rng)
     reflectance = _sample_reflectance(preset, rng)
-    parts = [replace(part, reflectance=reflectance) for part in parts]
-    wall = preset.relay_wall
+    wall, darkening = preset.relay_wall, _sample_darkening(preset, rng)
+    factor = _sample_size_factor(preset, rng)
     return Scene(
         index=index,
         dataset_seed=preset.dataset.seed,
@@ -44,7 +52,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
         seed=int(np.random.SeedSequence([preset.dataset.seed, index]).generate_state(1)[0]),
         object_class=object_class,
         split=split,
-        hidden_objects=tuple(parts),
+        hidden_objects=tuple(_finished(part, parts[0], reflectance, factor) for part in parts),
         relay_wall=RelayWall(
             size_m=wall.size_m,
             location_m=wall.location_m,
@@ -52,7 +60,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
             material=wall.material,
             reflectance=wall.reflectance,
             roughness=wall.roughness[roughness_index] if wall.material == "rough" else None,
-            darkening=_sample_darkening(preset, rng),
+            darkening=darkening,
         ),
         middle_wall=walls_of(preset)[1],
         camera=camera,
@@ -96,23 +104,27 @@ def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], st
 def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
     """Object class and split of scene `index`; the first n scenes have the exact proportions, for every n.
 
-    Composites are distributed evenly over the scenes; the other classes take turns. The scenes of each
-    class are distributed evenly over the splits, and each class starts at another point of the cycle. This
-    makes the totals exact, too (Hermite's identity): of 1344 scenes, 860 are for training, 215 for validation
-    and 269 for testing. The paper has 1075 and 269, and describes no validation split.
+    Empty corners are distributed evenly over the scenes, and composites over the others; the other classes
+    take turns. So the others have the classes of a preset without empty corners, in their order. The scenes
+    of each class are distributed evenly over the splits, and each class starts at another point of the cycle.
+    This makes the totals exact, too (Hermite's identity): of 1344 scenes, 860 are for training, 215 for
+    validation and 269 for testing. The paper has 1075 and 269, and describes no validation split.
     """
-    settings = preset.dataset
-    fraction = preset.hidden_object.composite_fraction
-    shapes = preset.hidden_object.shapes
-    composites_before = _dealt(index, fraction, 0.5)
-    is_composite = _dealt(index + 1, fraction, 0.5) > composites_before
-    if is_composite:
-        class_index, member = len(shapes), composites_before
+    settings, hidden = preset.dataset, preset.hidden_object
+    empty, fraction = hidden.empty_fraction, hidden.composite_fraction
+    classes = [*hidden.shapes, *[COMPOSITE] * (fraction > 0), *[EMPTY] * (empty > 0)]
+    empty_before = _dealt(index, empty, 0.5)
+    with_objects = index - empty_before
+    composites_before = _dealt(with_objects, fraction, 0.5)
+    if _dealt(index + 1, empty, 0.5) > empty_before:
+        class_index, member = len(classes) - 1, empty_before
+    elif _dealt(with_objects + 1, fraction, 0.5) > composites_before:
+        class_index, member = len(hidden.shapes), composites_before
     else:
-        member, class_index = divmod(index - composites_before, len(shapes))
-    start = (class_index + 0.5) / (len(shapes) + (fraction > 0))
-    object_class = COMPOSITE if is_composite else shapes[class_index]
-    return object_class, _split_of_member(member, start, settings.test_fraction, settings.validation_fraction)
+        member, class_index = divmod(with_objects - composites_before, len(hidden.shapes))
+    start = (class_index + 0.5) / len(classes)
+    split = _split_of_member(member, start, settings.test_fraction, settings.validation_fraction)
+    return classes[class_index], split
 
 
 def leaks(scenes: Iterable[Scene]) -> list[str]:
@@ -162,6 +174,24 @@ def _dealt(count: int, fraction: float, start: float) -> int:
     return floor(count * fraction + start + 1e-9)
 
 
+def _sample_parts(preset: Preset, object_class: str, rng: np.random.Generator) -> list[HiddenObject]:
+    """The objects of a scene, before what is drawn last for all of them."""
+    if object_class == EMPTY:
+        return []
+    first = _sample_first(preset, object_class, rng)
+    return [first, _sample_second(preset, first, rng)] if object_class == COMPOSITE else [first]
+
+
+def _finished(part: HiddenObject, first: HiddenObject, reflectance: float, factor: float) -> HiddenObject:
+    """An object with the reflectance of its scene, enlarged with the others about the centre of the first."""
+    part = replace(part, reflectance=reflectance)
+    if factor == 1:
+        return part
+    x, y, z = (a + factor * (b - a) for a, b in zip(first.location_m, part.location_m, strict=True))
+    width, depth, height = (factor * side for side in part.size_m)
+    return replace(part, location_m=(x, y, z), size_m=(width, depth, height))
+
+
 def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -> HiddenObject:
     settings = preset.hidden_object
     shapes = settings.shapes
@@ -172,7 +202,7 @@ def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -
         size_m=settings.size_m.of(shape),
         location_m=_uniform(rng, (location.x, location.y, location.z)),
         rotation_deg=_uniform(rng, (rotation.x, rotation.y, rotation.z)),
-        reflectance=1.0,  # drawn last, for all objects of the scene
+        reflectance=1.0,  # see `_finished`
     )
 
 
@@ -209,6 +239,14 @@ def _sample_reflectance(preset: Preset, rng: np.random.Generator) -> float:
     """The reflectance of a scene's objects; nothing is drawn where all scenes have the same one."""
     least, most = preset.hidden_object.least_reflectance, preset.hidden_object.reflectance
     return most if least is None else least + (most - least) * float(rng.random())
+
+
+def _sample_size_factor(preset: Preset, rng: np.random.Generator) -> float:
+    """How much larger a scene's objects are; nothing is drawn where all have one size."""
+    if preset.hidden_object.has_one_size:
+        return 1.0
+    least, most = preset.hidden_object.size_factor
+    return least * (most / least) ** float(rng.random())
 
 
 def _sample_darkening(preset: Preset, rng: np.random.Generator) -> Darkening | None:

@@ -23,6 +23,7 @@ from scenegen.projector import Dots, Spacing, check_dots
 from scenegen.shapes import Shape
 
 COMPOSITE = "composite"
+EMPTY = "no_object"
 Split = Literal["train", "validation", "test"]
 
 
@@ -110,7 +111,7 @@ class Scene:
     index : position in the dataset; index and `dataset_seed` determine everything else.
     attempt : number of samples that the geometry check rejected before this one.
     seed : seed of the scene's rendering.
-    object_class : a shape, or ``composite``.
+    object_class : a shape, ``composite``, or ``no_object`` in an empty corner.
     split : train, validation or test.
     max_bounces : number of surfaces that light may meet.
     mirror_occluders : whether the mirrored scene has the mirror image of the middle wall.
@@ -122,7 +123,7 @@ class Scene:
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     object_class: ClassName
     split: Split
-    hidden_objects: Annotated[tuple[HiddenObject, ...], Field(min_length=1)]
+    hidden_objects: tuple[HiddenObject, ...]
     relay_wall: RelayWall
     middle_wall: Wall
     camera: Camera

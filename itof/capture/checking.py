@@ -7,23 +7,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from disk import PathLike
-from disk.quantities import FREQUENCY, fov_problem
-from itof.arrays import Phasors
-from itof.capture.capture import ImageShape, read_capture
+from itof.capture.capture import ImageShape
 from itof.capture.check_picture import refuse_other_picture, write_picture
 from itof.capture.facts import CaptureFacts, milliradians
 from itof.capture.image_check import ImageCheck, check_image, wall_distance_m
+from itof.capture.images import CapturedImages, read_images
 from itof.capture.importing import paths
-from itof.capture.raw_frames import refuse_repeated
-from itof.capture.record import read_import_record
-from itof.capture.sidecar import MOST_FREQUENCIES, CaptureError, Sidecar
-from itof.capture.sidecar_files import load_sidecar
-from itof.files.measurement_files import read_measurement
-from itof.light import OFFSET_STD_RAD
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
 from itof.wall.finding import Finding, length
 from itof.wall.plausibility import check_measurement
@@ -43,12 +33,16 @@ class CaptureCheck:
     distances_m : median distance of the wall in each image, metres; None where there is none, or where the
         phase offsets leave it unknown.
     facts, reference_facts : of the capture and of that of the empty corner; None if unknown.
+    image_size : width and height, pixels.
     """
 
     found: MeasurementCheck
     distances_m: tuple[float | None, ...]
     facts: CaptureFacts | None
     reference_facts: CaptureFacts | None
+    image_size: tuple[int, int]
+    frequencies_hz: tuple[float, ...]
+    horizontal_fov_deg: float
 
     @property
     def refused(self) -> bool:
@@ -83,20 +77,6 @@ class CaptureCheck:
         }
 
 
-@dataclass(frozen=True)
-class _Images:
-    """Images (N, H, W, F) to check, and what is known about them."""
-
-    phasors: Phasors
-    frequencies_hz: tuple[float, ...]
-    reference: Phasors | None
-    fov_deg: float
-    facts: CaptureFacts | None = None
-    reference_facts: CaptureFacts | None = None
-    offset_std_rad: float | Sequence[float] = OFFSET_STD_RAD
-    saturated_part: NDArray[np.float64] | None = None
-
-
 def check_capture(
     inputs: PathLike | Sequence[PathLike],
     sidecar: PathLike | None = None,
@@ -127,19 +107,10 @@ def check_capture(
         known, or `picture` is another file. What the check finds is no error.
     MeasurementError : the measurement file cannot be read.
     """
-    files = paths(inputs)
-    refuse_repeated([*files, *paths(empty)])
     if picture is not None:
         refuse_other_picture(Path(picture))
-    if sidecar is not None:
-        shape = ImageShape(bin_side, size, horizontal_fov_deg)
-        images = _of_frames(files, paths(empty), load_sidecar(sidecar, changes), shape, progress)
-    else:
-        if len(files) != 1 or empty or changes or bin_side or size:
-            raise CaptureError(
-                "a measurement file is checked alone: raw frames and their options need --sidecar"
-            )
-        images = _of_measurement(files[0], horizontal_fov_deg)
+    shape = ImageShape(bin_side, size, horizontal_fov_deg)
+    images = read_images(inputs, sidecar, empty=empty, changes=changes, shape=shape, progress=progress)
     checks = _each(images)
     found: list[tuple[Finding, str | None]] = []
     if images.reference is not None:
@@ -154,65 +125,16 @@ def check_capture(
         (*away, *missing),
         images.facts,
         images.reference_facts,
+        (images.phasors.shape[2], images.phasors.shape[1]),
+        images.frequencies_hz,
+        images.fov_deg,
     )
     if picture is not None:
-        _draw(Path(picture), files[0].name, images, checks, result)
+        _draw(Path(picture), paths(inputs)[0].name, images, checks, result)
     return result
 
 
-def _of_frames(
-    files: list[Path], empty: list[Path], sidecar: tuple[Sidecar, Path], shape: ImageShape, progress: bool
-) -> _Images:
-    capture = read_capture(files, *sidecar, shape, progress=progress)
-    reference = read_capture(empty, *sidecar, shape, progress=progress) if empty else None
-    return _Images(
-        capture.phasor[None],
-        capture.frequencies_hz,
-        None if reference is None else reference.phasor,
-        capture.facts.horizontal_fov_deg,
-        capture.facts,
-        None if reference is None else reference.facts,
-        sidecar[0].offset_std_rad,
-        capture.saturated_part,
-    )
-
-
-def _of_measurement(file: Path, fov_deg: float | None) -> _Images:
-    measured = read_measurement(file)
-    count = len(measured.frequencies_hz)
-    if count > MOST_FREQUENCIES:
-        raise CaptureError(f"{file} has {count} frequencies, and {MOST_FREQUENCIES} are the most")
-    for frequency_hz in measured.frequencies_hz:
-        if problem := FREQUENCY.problem(frequency_hz):
-            raise CaptureError(f"{file}: frequencies_hz {problem}")
-    record = read_import_record(file)
-    if record is not None and record.sidecar.frequencies_hz != measured.frequencies_hz:
-        record = None  # somebody has edited it
-    own_deg = set(measured.fields_of_view_deg)
-    if fov_deg is None and len(own_deg) > 1:
-        raise CaptureError(
-            f"{file} has images with {len(own_deg)} fields of view: put those with the same into a file"
-        )
-    if fov_deg is None and own_deg:
-        (fov_deg,) = own_deg
-    if fov_deg is None and record is not None:
-        fov_deg = record.facts.horizontal_fov_deg
-    if fov_deg is None:
-        raise CaptureError(
-            f"{file} has no record of an import beside it, and no horizontal_fov_deg: give its field of view "
-            "by --fov, or give the sidecar of the raw frames"
-        )
-    problem = fov_problem(fov_deg)
-    if problem:
-        raise CaptureError(problem)
-    facts = None if record is None else record.facts
-    reference_facts = None if record is None else record.reference_facts
-    names = (measured.phasors, measured.frequencies_hz, measured.reference)
-    known = OFFSET_STD_RAD if record is None else record.sidecar.offset_std_rad
-    return _Images(*names, fov_deg, facts, reference_facts, known)
-
-
-def _each(images: _Images) -> list[ImageCheck]:
+def _each(images: CapturedImages) -> list[ImageCheck]:
     """The images, one by one, until too many are refused."""
     checks: list[ImageCheck] = []
     useless = 0
@@ -225,7 +147,7 @@ def _each(images: _Images) -> list[ImageCheck]:
     return checks
 
 
-def _of_reference(images: _Images, checks: list[ImageCheck]) -> list[Finding]:
+def _of_reference(images: CapturedImages, checks: list[ImageCheck]) -> list[Finding]:
     """What is wrong with the empty corner, and with the first image compared with it."""
     reference = images.reference
     if reference is None:
@@ -262,7 +184,9 @@ def _wall(check: ImageCheck) -> RobustFit | None:
     return None if any(finding.refused for finding in check.findings) else check.fit
 
 
-def _draw(picture: Path, title: str, images: _Images, checks: list[ImageCheck], result: CaptureCheck) -> None:
+def _draw(
+    picture: Path, title: str, images: CapturedImages, checks: list[ImageCheck], result: CaptureCheck
+) -> None:
     from itof.capture.check_figure import check_figure  # matplotlib takes half a second to load
 
     refused = [place for place, check in enumerate(checks) if any(each.refused for each in check.findings)]

@@ -9,6 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT
+from disk.counted import counted
 from disk.quantities import FieldOfView, Fraction
 
 LARGEST_RAD: Final = 7.0  # of a noise or a drift; phases differ by at most 2 pi
@@ -53,8 +54,8 @@ class CaptureFacts:
         binned = (
             "" if self.image_size == self.sensor_size else "binned from {}x{}, ".format(*self.sensor_size)
         )
-        count = "1 frame" if self.frames == 1 else f"{self.frames} frames"
-        told = [f"{count} of {width}x{height} pixels, {binned}{self.horizontal_fov_deg:.4g} degrees wide"]
+        frames = f"{counted(self.frames, 'frame')} of {width}x{height} pixels"
+        told = [f"{frames}, {binned}{self.horizontal_fov_deg:.4g} degrees wide"]
         if self.noise_rad is not None:
             told.append(f"noise of a pixel: {milliradians(self.noise_rad)}; hidden light is 1 to 3 mrad")
         if self.saturated or self.dead:

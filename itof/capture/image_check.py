@@ -178,7 +178,7 @@ def _capture(facts: CaptureFacts | None, fit: RobustFit, noise_rad: Floats) -> I
         words = (
             f"the noise of a pixel is {milliradians(told)}, measured from the scatter of {by}, and hidden "
             f"light is 1 to 3 mrad: average {times} times as many frames, or predict with a network that was "
-            "trained for such noise (night-80x60-camera)"
+            "trained for such noise (night-eval networks)"
         )
         yield Finding("noise", words, False)
     if facts is None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import OutsideError, inside, sha256_of
+from disk.counted import counted
 from itof.arrays import Numbers
 from itof.capture.frame_axes import ordered, stacked
 from itof.capture.sidecar import TOO_COARSE, CaptureError, Sidecar
@@ -263,8 +264,8 @@ def _exposures(sidecar: Sidecar, parts: list[_Group], count: int, source: str) -
     for each in times:
         if each.shape != (count,) or not ((each >= _SHORTEST_S) & (each <= _LONGEST_S)).all():
             raise CaptureError(
-                f"{source} holds {count} frames, and {len(each)} exposure times are given: give one positive "
-                "number of seconds for each frame"
+                f"{source} holds {counted(count, 'frame')}, and {len(each)} exposure times are given: give "
+                "one positive number of seconds for each frame"
             )
     frequencies = len(sidecar.frequencies_hz)
     return np.stack(times * (frequencies // len(times)), axis=1)

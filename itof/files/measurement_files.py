@@ -30,7 +30,7 @@ from itof.files.array_claims import ARRAYS, RefusedError
 from itof.files.measurement_process import FileContents, read_contents
 
 _ENDINGS = (".exr", ".npz", ".h5", ".hdf5")
-_SAME_FREQUENCY = 1e-6  # relative tolerance; changes the phase of 20 m optical path at 20 MHz by 8e-6 rad
+SAME_FREQUENCY = 1e-6  # relative tolerance; changes the phase of 20 m optical path at 20 MHz by 8e-6 rad
 
 
 class MeasurementError(NightError):
@@ -72,7 +72,7 @@ class Measurement:
         missing = [
             f
             for f, index in zip(frequencies_hz, nearest, strict=True)
-            if not np.isclose(found[index], f, rtol=_SAME_FREQUENCY, atol=0)
+            if not np.isclose(found[index], f, rtol=SAME_FREQUENCY, atol=0)
         ]
         if missing:
             hint = "; frequencies_hz is in Hz, not MHz" if found.max() < FREQUENCY.least else ""

@@ -25,7 +25,7 @@ from itof.wall.wall_phases import WallRays
 from itof.wall.wall_search import found, locate_wall
 
 _LARGEST_STD_M: Final = 0.015  # about as a tape measure's
-_LARGEST_TILT_DEG: Final = 2.0  # about as a camera is turned by hand
+LARGEST_TILT_DEG: Final = 2.0  # about as a camera is turned by hand
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class CapturedPlane:
     def is_certain(self) -> bool:
         """Whether it is known about as well as a preset's wall usually is."""
         is_near = not self.needs_distance or self.distance_std_m <= _LARGEST_STD_M
-        return is_near and self.tilt_std_deg <= _LARGEST_TILT_DEG
+        return is_near and self.tilt_std_deg <= LARGEST_TILT_DEG
 
     def as_data(self) -> dict[str, object]:
         """The plane, 1/m, its standard deviations (None: no wall is seen), and whether it is used."""

@@ -24,6 +24,7 @@ from numpy.typing import DTypeLike, NDArray
 from pydantic import TypeAdapter
 
 from disk import FileHashes, whole_folder
+from disk.counted import counted
 from model.data.array_files import ArrayFile, header_of, is_array_file, read_array
 from model.data.manifest import RECORD_FILE, PieceContents, PieceRecord, read_piece_record
 from model.data.renders import RenderedScene, ShardError, read_render
@@ -64,7 +65,7 @@ def why_stale(folder: Path, contents: PieceContents, hashes: FileHashes) -> str 
         return "image size or frequencies changed"
     changed = sorted(n for n, digest in contents.sources.items() if before.sources.get(n) != digest)
     if changed:
-        return f"{len(changed)} renders changed, first {changed[0]}"
+        return f"{counted(len(changed), 'render')} changed, first {changed[0]}"
     if before != contents:
         return f"{folder.name}/{RECORD_FILE} names other renders"
     for array, (dtype, shape) in contents.arrays.items():

@@ -130,7 +130,7 @@ def _without_failures(dataset: Dataset, ground_truth: GroundTruth) -> Dataset:
         return dataset
     if len(failed) == len(scenes):
         raise ShardError(f"no scene of {dataset.root} could be rendered: see night-render status")
-    _log.warning("%d scenes that could not be rendered are left out, first %s", len(failed), min(failed))
+    _log.warning("scenes that could not be rendered are left out: %d, first %s", len(failed), min(failed))
     kept = tuple(scene for scene in scenes if scene.id not in failed)
     return Dataset(dataset.root, replace(dataset.index, scenes=kept))
 

@@ -12,6 +12,7 @@ import numpy as np
 from model.judging.scene_result import SceneResult
 
 POSITION_BINS = 4
+NO_OBJECT = "no object"
 AXES = (
     ("x", "distance from the relay wall"),
     ("y", "distance behind the middle wall"),
@@ -73,7 +74,9 @@ def group_tables(scenes: Sequence[SceneResult], location_ranges_m: Ranges) -> tu
             "Simple or composite",
             "A composite consists of two different primitives.",
             _groups(
-                scenes, lambda s: s.is_composite, lambda is_both, _: "composite" if is_both else "simple"
+                scenes,
+                lambda s: (s.location_m is None, s.is_composite),
+                lambda key, _: NO_OBJECT if key[0] else "composite" if key[1] else "simple",
             ),
         ),
         GroupTable(
@@ -92,19 +95,21 @@ def group_tables(scenes: Sequence[SceneResult], location_ranges_m: Ranges) -> tu
 
 
 def _by_axis(scenes: Sequence[SceneResult], axis: int, bounds_m: tuple[float, float]) -> GroupTable:
-    """Bins of equal width along one world axis; the first and the last are open."""
+    """Bins of equal width along one world axis; the first and the last are open. Empty corners come last."""
     letter, meaning = AXES[axis]
     edges_m = np.linspace(*bounds_m, POSITION_BINS + 1)  # (POSITION_BINS + 1,)
-    names = [f"{low:.3f}–{high:.3f} m" for low, high in pairwise(edges_m)]
+    names = [*(f"{low:.3f}–{high:.3f} m" for low, high in pairwise(edges_m)), NO_OBJECT]
+
+    def place(scene: SceneResult) -> int:
+        if scene.location_m is None:
+            return POSITION_BINS
+        return int(np.searchsorted(edges_m[1:-1], scene.location_m[axis], side="right"))
+
     return GroupTable(
         f"{letter}_m",
         f"Position: {meaning} ({letter})",
         "Centre of the object (of a composite: its first part). The title holds for the paper's room.",
-        _groups(
-            scenes,
-            lambda s: int(np.searchsorted(edges_m[1:-1], s.location_m[axis], side="right")),
-            lambda place, _: names[place],
-        ),
+        _groups(scenes, place, lambda place, _: names[place]),
     )
 
 

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
-from itof import pixel_rays
-from itof.wall.expected_wall import angle_deg, distance_m, radial_depth_of_plane
+from itof.wall.expected_wall import angle_deg, distance_m
 from itof.wall.finding import Finding
 from itof.wall.plausibility import elsewhere, shift_words
 from itof.wall.wall_view import WallView
 from model.judging.refusals import EvaluationError
 from model.prediction.fields_of_view import view_findings
+from model.run_folder.networks import View, Wanted, wall_shift_m, what_to_do
 from model.run_folder.run_config import RunConfig
-from scenegen import Dataset, Scene
+from scenegen import Camera, Dataset, Scene
 from scenegen.pose import wall_geometry
-
-_GRID: Final = (16, 12)  # rays over an image
+from scenegen.scene import Wall
 
 
 def refuse_other_corner(
@@ -39,8 +37,11 @@ def refuse_other_corner(
                 found[finding.code] = Finding(finding.code, words, finding.refused)
     sentences = tuple(finding.sentence for finding in found.values())
     if not force and any(finding.refused for finding in found.values()):
+        size, frequencies_hz = (trained.image_width, trained.image_height), dataset.preset.itof.frequencies_hz
+        views = {_view(each.camera, each.relay_wall) for each in map(dataset.scene, scenes)}
+        other = what_to_do(Wanted(*size, frequencies_hz, tuple(views)))
         raise EvaluationError(
-            f"{dataset.root} is not what {run} was trained on: {'; '.join(sentences)}; with --force "
+            f"{dataset.root} is not what {run} was trained on: {'; '.join(sentences)}; {other}; with --force "
             "(force=True) it is judged all the same"
         )
     return sentences
@@ -56,11 +57,13 @@ def _findings(trained: RunConfig, dataset: Dataset, scene: Scene) -> Iterator[Fi
     yield from view_findings(trained, [scene.camera.horizontal_fov_deg])
     seen_m, is_one_corner = trained.inputs.largest_shift_m, dataset.preset.is_one_corner
     camera = scene.camera if seen_m or is_one_corner else dataset.preset.camera
-    view = WallView(**wall_geometry(camera, scene.relay_wall))
-    own, known = view.plane_per_m, trained.geometry.plane_per_m
-    rays = pixel_rays(*_GRID, view.horizontal_fov_deg)
-    depth_m, known_m = radial_depth_of_plane(rays, own), radial_depth_of_plane(rays, known)
-    ahead = np.isfinite(depth_m) & np.isfinite(known_m)
-    shift_m = float(np.abs(depth_m - known_m)[ahead].mean()) if ahead.any() else np.inf
+    view, known = _view(camera, scene.relay_wall), trained.geometry.plane_per_m
+    own = np.array(view.plane_per_m)
     words = shift_words(distance_m(own) - distance_m(known), angle_deg(own, known))
-    yield from elsewhere(shift_m, words, "the run", seen_m)
+    yield from elsewhere(wall_shift_m(trained.geometry, view), words, "the run", seen_m)
+
+
+def _view(camera: Camera, relay_wall: Wall) -> View:
+    """What is known of a scene's camera."""
+    plane_per_m = WallView(**wall_geometry(camera, relay_wall)).plane_per_m
+    return View(camera.horizontal_fov_deg, tuple(plane_per_m.tolist()))

@@ -11,6 +11,7 @@ from disk.own_files import refuse_other_files
 from model.data.corner import many_corners_problem
 from model.data.shards import Shards
 from model.judging.report_files import files_of_report
+from model.run_folder.networks import Wanted, what_to_do
 from model.run_folder.run_config import RunConfig
 from model.settings.target import MaskSource
 from scenegen import Dataset, Split
@@ -52,7 +53,8 @@ def refuse_many_corners(trained: RunConfig, dataset: Dataset) -> None:
     """Refuse scenes with cameras elsewhere for a network that cannot find their walls."""
     problem = many_corners_problem(dataset, trained.inputs)
     if problem:
-        raise EvaluationError(problem)
+        size, frequencies_hz = (trained.image_width, trained.image_height), dataset.preset.itof.frequencies_hz
+        raise EvaluationError(f"{problem}; or {what_to_do(Wanted(*size, frequencies_hz))}")
 
 
 def refuse_missing_split(dataset: Dataset, split: Split) -> None:
@@ -101,14 +103,15 @@ def refuse_scenes_without_render(shards: Shards, dataset: Dataset, scenes: Seque
 def refuse_other_images(trained: RunConfig, shards: Shards, run: Path, dataset: Dataset) -> None:
     """Refuse images of another size, or without a frequency, than those of the training."""
     given = shards.manifest
+    todo = what_to_do(Wanted(given.width, given.height, given.frequencies_hz))
     if (trained.image_width, trained.image_height) != (given.width, given.height):
         raise EvaluationError(
             f"wrong resolution between stages: {run} was trained on {trained.image_width}x"
             f"{trained.image_height} pixels, {dataset.root} is rendered at {given.width}x{given.height}; "
-            "render it at the run's resolution or train again"
+            f"render it at the run's resolution, or: {todo}"
         )
     if not {*trained.inputs.frequencies_hz} <= {*given.frequencies_hz}:
         raise EvaluationError(
             f"{run} was trained at {megahertz(*trained.inputs.frequencies_hz)}, {dataset.root} holds "
-            f"{megahertz(*given.frequencies_hz)}: train again or make the dataset again"
+            f"{megahertz(*given.frequencies_hz)}: {todo}"
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from disk import whole_file, write_text
+from disk.counted import counted
 from disk.own_files import hashes_of
 from disk.plain_file import MOST_LIST_BYTES, read_plain
 from itof.metrics import Statistics
@@ -92,9 +93,8 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
 
 def summary_markdown(report: Report) -> str:
     """The summary, and the tables by shape and by roughness, to be pasted into a document."""
-    head = (
-        f"{report.split} split, {len(report.scenes)} scenes, radial depth; {report.calibration.judged_with}."
-    )
+    count = counted(len(report.scenes), "scene")
+    head = f"{report.split} split, {count}, radial depth; {report.calibration.judged_with}."
     lines = [head, "", *(f"**Warning: {html.escape(each, quote=False)}.**\n" for each in report.warnings)]
     lines += _markdown(SUMMARY_HEAD, summary_rows(report), words=2)
     for table in report.groups:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from disk.counted import counted
 from itof.metrics import Statistics, Summary
 from model.judging.calibration import Calibration
 from model.judging.groups import GroupTable
@@ -186,7 +187,7 @@ class Report:
     @property
     def table(self) -> str:
         """The summary as text, with baseline and paper."""
-        head = f"{self.split} split, {len(self.scenes)} scenes, radial depth"
+        head = f"{self.split} split, {counted(len(self.scenes), 'scene')}, radial depth"
         lines = [f"{head:<44}{'average':>9}{'std':>9}{'min':>9}{'max':>9}"]
         for measure, who, statistics in self.lines():
             lines.append(f"{f'{measure.name:<26}{who}':<44}" + "".join(f"{v:>9}" for v in statistics))
@@ -227,7 +228,7 @@ def scene_numbers(result: SceneResult) -> dict[str, str | float | None]:
         "object_class": result.object_class,
         "composite": int(result.is_composite),
         "roughness": result.roughness,
-        **dict(zip(("x_m", "y_m", "z_m"), result.location_m, strict=True)),
+        **dict(zip(("x_m", "y_m", "z_m"), result.location_m or (None,) * 3, strict=True)),
         "object_pixels": result.object_pixels,
         "object_distance_m": result.object_distance_m,
         **asdict(result.prediction),

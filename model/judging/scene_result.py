@@ -23,7 +23,8 @@ class SceneResult:
     Attributes
     ----------
     roughness : roughness of the relay wall; None for a diffuse wall.
-    location_m : centre of the hidden object in world axes, metres; for a composite, of its first part.
+    location_m : centre of the hidden object in world axes, metres; for a composite, of its first part;
+        None in an empty corner.
     object_pixels : number of pixels that show the object in the ground truth.
     object_distance_m : mean radial depth of these pixels in the ground truth, metres; None if there are none.
     roundness_gt, roundness_pred : `disc_iou` of the masks of ground truth and prediction; None if empty.
@@ -35,7 +36,7 @@ class SceneResult:
     object_class: str
     is_composite: bool
     roughness: float | None
-    location_m: tuple[float, float, float]
+    location_m: tuple[float, float, float] | None
     object_pixels: int
     object_distance_m: float | None
     prediction: ImageMetrics
@@ -75,7 +76,7 @@ def judge_scene(
         object_class=scene.object_class,
         is_composite=len(scene.hidden_objects) > 1,
         roughness=scene.relay_wall.roughness,
-        location_m=scene.hidden_objects[0].location_m,
+        location_m=scene.hidden_objects[0].location_m if scene.hidden_objects else None,
         object_pixels=len(on_object_m),
         object_distance_m=float(on_object_m.mean(dtype=np.float64)) if len(on_object_m) else None,
         prediction=image_metrics(prediction.radial_depth_m, prediction.mask, radial_depth_gt_m, mask_gt),

@@ -23,7 +23,8 @@ class MaskAndDepthLoss:
 
     The soft IoU of the probabilities p and the true mask m is sum(p m) / sum(p + m - p m). The error e of the
     standardised depth counts as smooth L1, e^2 / (2 beta) below beta and |e| - beta / 2 above, as a mean over
-    the true object's pixels; 0 without an object.
+    the true object's pixels; 0 without an object. There the soft IoU is 0 for any p, and the cross entropy
+    alone teaches.
 
     A pixel that is right with a logit beyond +-40 gets no gradient from the mask, instead of one below 1e-17.
     Trained networks have logits of -300 on the background; their gradients would be subnormal numbers, which

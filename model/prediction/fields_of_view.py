@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
 
 from disk import NightError
 from disk.quantities import fov_problem
@@ -14,10 +13,9 @@ from itof.capture.record import imported_fov_deg
 from itof.files.measurement_files import Measurement, MeasurementError
 from itof.wall.finding import Finding
 from model.prediction.predictor import Predictor
+from model.run_folder.networks import seen_view
 from model.run_folder.run_config import RunConfig
 from scenegen import open_dataset
-
-_SAME_DEG: Final = 0.1  # moves the wall of the paper's corner by 2 mm at the edge of the image
 
 
 def with_fields_of_view(measured: Measurement, given_deg: float | None) -> Measurement:
@@ -68,11 +66,10 @@ def view_findings(trained: RunConfig, fields_of_view_deg: Iterable[float]) -> It
     """The first field of view, degrees, that the training of a network has not seen."""
     least_deg, most_deg = trained.trained_views_deg
     for view_deg in fields_of_view_deg:
-        if not least_deg - _SAME_DEG <= view_deg <= most_deg + _SAME_DEG:
+        if not seen_view(trained, view_deg):
             seen = f"{least_deg:.4g}" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g}"
-            words = f"the field of view is {view_deg:.4g} degrees, and the training saw {seen}: "
-            words += "use another network"
+            words = f"the field of view is {view_deg:.4g} degrees, and the training saw {seen}"
             if view_deg > most_deg:
-                words += f", or import the capture with --fov {most_deg:.4g}"
+                words += f" (a capture can be imported with --fov {most_deg:.4g})"
             yield Finding("other-view", words, True)
             return

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from disk import PathLike
+from disk.quantities import FREQUENCY
 from itof import amplitude
 from itof.files.measurement_files import Measurement, MeasurementError, read_measurement
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
@@ -18,6 +19,7 @@ from itof.wall.finding import Finding
 from itof.wall.plausibility import check_measurement, check_reference
 from model.prediction.fields_of_view import predictors_of, view_findings, with_fields_of_view
 from model.prediction.predictor import NEEDS_CAPTURE, Predictor, load
+from model.run_folder.networks import View, Wanted, what_to_do
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
@@ -57,17 +59,34 @@ def fitting_measurement(
 ) -> Measurement:
     """Read a measurement at the frequencies of the run, with its field of view; refuse another image size."""
     config = predictor.config
-    measured = read_measurement(file).at(config.inputs.frequencies_hz)
-    measured = with_fields_of_view(measured, horizontal_fov_deg)
-    height, width = measured.phasors.shape[1:3]
-    if (width, height) != (config.image_width, config.image_height):
+    whole = with_fields_of_view(read_measurement(file), horizontal_fov_deg)
+    wanted = wanted_for(whole)
+    try:
+        measured = whole.at(config.inputs.frequencies_hz)
+    except MeasurementError as error:
+        if max(whole.frequencies_hz) < FREQUENCY.least:
+            raise  # in another unit
+        raise MeasurementError(f"{error}; {what_to_do(wanted)}") from None
+    if (wanted.width, wanted.height) != (config.image_width, config.image_height):
         raise MeasurementError(
-            f"{file} holds images of {width}x{height} pixels, {run} was trained on "
-            f"{config.image_width}x{config.image_height}: scale the images, or train a run at their size"
+            f"{file} holds images of {wanted.width}x{wanted.height} pixels, {run} was trained on "
+            f"{config.image_width}x{config.image_height}: scale the images; {what_to_do(wanted)}"
         )
     if measured.reference is None and config.inputs.needs_capture:
         raise MeasurementError(f"{file} has no array reference, and {run} {NEEDS_CAPTURE}")
     return measured
+
+
+def wanted_for(measured: Measurement, check: MeasurementCheck | None = None) -> Wanted:
+    """What a network for a measurement must be for; with the walls of its images if there is a `check`."""
+    height, width = measured.phasors.shape[1:3]
+    walls = [None] * len(measured.phasors) if check is None else [*check.walls]
+    views_deg = measured.fields_of_view_deg or (None,) * len(walls)
+    views = {
+        View(view_deg, None if wall is None else wall.plane_per_m)
+        for view_deg, wall in zip(views_deg, walls, strict=True)
+    }
+    return Wanted(width, height, measured.frequencies_hz, tuple(views))
 
 
 def check_measured(

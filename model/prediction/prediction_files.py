@@ -26,9 +26,15 @@ from itof.wall.wall_search import locate_wall
 from model.prediction.explained_light import ExplainedLight
 from model.prediction.explanation import RefinedImage, Refiner
 from model.prediction.fields_of_view import predictors_of
-from model.prediction.measurement_check import ImplausibleError, check_measured, fitting_measurement
+from model.prediction.measurement_check import (
+    ImplausibleError,
+    check_measured,
+    fitting_measurement,
+    wanted_for,
+)
 from model.prediction.predicted_image import FilePrediction, PredictedImage
 from model.prediction.predictor import BATCH, InputError, Predictor, load
+from model.run_folder.networks import OTHER_CORNER, what_to_do
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
 from processes.progress import showing_progress
@@ -129,8 +135,10 @@ def predict_file(
 
 def _refuse_implausible(check: MeasurementCheck, measured: Measurement, run: Path, force: bool) -> None:
     if check.refused and not force:
+        refused = {finding.code for finding in check.findings if finding.refused}
+        other = f"{what_to_do(wanted_for(measured, check))}; " if refused <= OTHER_CORNER else ""
         raise ImplausibleError(
-            f"{measured.path} is not what {run} was trained on: {'; '.join(check.warnings)}; "
+            f"{measured.path} is not what {run} was trained on: {'; '.join(check.warnings)}; {other}"
             "with --force (force=True) it is predicted all the same"
         )
 

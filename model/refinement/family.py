@@ -46,7 +46,8 @@ def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
         )
     is_known = "reflectance" not in unknown and hidden.least_reflectance is None
     apart_m = max(map(abs, hidden.composite_offset_m)) if hidden.composite_fraction > 0 else None
-    return Family(known, "sizes" in unknown, hidden.reflectance if is_known else None, apart_m)
+    fits_sizes = "sizes" in unknown or not hidden.has_one_size
+    return Family(known, fits_sizes, hidden.reflectance if is_known else None, apart_m)
 
 
 def refuse_misfit(largest_misfit: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,12 +22,14 @@ from scenegen.shapes import Shape
 _SAME_M: Final = 0.001  # two fits whose mirror images differ by less are one
 _CERTAIN: Final = 0.003  # a fit that leaves less unexplained ends the search
 _LIKELY: Final = 2.5  # so does one with less evidence against it
+_HOPELESS: Final = 40.0  # more evidence against a fit than against the best: it needs no finer grid
 _ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _FINE_STEPS, _WALLS = 6, 2
 _LONG, _LONG_STEPS = 2, 12  # fits of unknown sizes that go on, and their steps
 _LIBRARY: Final = 400  # solids of each shape of which pairs are made
 _AROUND: Final = 0.7  # how far each is from the middle, over the largest distance of two, at most
-_EXCHANGED, _OTHERS = 6, 6  # pairs of which one solid is exchanged, and for how many others
+# Pairs of which one solid is exchanged, for how many others, and how often: each time for other solids.
+_EXCHANGED, _OTHERS, _EXCHANGES = 6, 6, 3
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class _Funnel:
 
 _FIRST, _MORE = _Singles(300, 10, 4), _Singles(900, 120, 12)
 _OF_FIRST, _OF_MORE = _Funnel(((24, 3), (8, 10)), 3), _Funnel(((72, 4), (24, 6), (12, 10)), 6)
-_OF_PAIRS: Final = _Funnel(((60, 3), (24, 4), (8, 8)), 6)
+_OF_PAIRS: Final = _Funnel(((60, 3), (24, 4), (8, 8)), 3)
 _LIT_PAIRS, _LIT_LIKELY = 30, 150  # of each two shapes, and then of the likely ones
 _LIKELY_SHAPES: Final = 2  # pairs of shapes
 _Begin = Callable[[list[Fit]], list[Fit]]
@@ -95,7 +98,9 @@ class Search:
             pairs = self._pairs(self.family.apart_m, walls, rng)
             yield lambda _: self._lit(pairs.starts(_LIT_PAIRS)), _OF_PAIRS
             yield lambda best: self._lit(pairs.starts(_LIT_LIKELY, _likely_shapes(best))), _OF_PAIRS
-            yield lambda best: self._lit(pairs.exchanged(_two_solids(best)[:_EXCHANGED], _OTHERS)), _OF_PAIRS
+            for _ in range(_EXCHANGES):
+                others = self._pairs(self.family.apart_m, walls, rng)
+                yield partial(self._exchanged, others), _OF_PAIRS
 
     def _is_certain(self, fit: Fit) -> bool:
         """Whether a fit is so good that others need not be tried."""
@@ -132,6 +137,10 @@ class Search:
         moved = [each.moved(_AROUND * apart_m * rng.uniform(-1, 1, each.centres_m.shape)) for each in draws]
         return Pairs.of(sketch, self.coarse, moved, apart_m, walls)
 
+    def _exchanged(self, others: Pairs, best: Sequence[Fit]) -> list[Fit]:
+        """The best pairs, each with another solid in place of one of its own."""
+        return self._lit(others.exchanged(_two_solids(best)[:_EXCHANGED], _OTHERS))
+
     def _lit(self, starts: Sequence[Scene]) -> list[Fit]:
         """Starts with their light; those that explain most come first."""
         fits = least_misfits([(self.coarse, start) for start in starts], steps=0)
@@ -161,7 +170,9 @@ class Search:
 
     def _polished(self, fits: Sequence[Fit]) -> list[Fit]:
         """Minima of the fine comparison; with unknown sizes, the best go on: their valleys are long."""
-        found = self._sorted(self._finer(fits, _FINE_STEPS))
+        against = self.prior.against(fits)
+        likely = [fit for fit, each in zip(fits, against, strict=True) if each < against.min() + _HOPELESS]
+        found = self._sorted(self._finer(likely, _FINE_STEPS))
         more = _LONG if self.family.fits_sizes else 0
         return [*self._finer(found[:more], _LONG_STEPS), *found[more:]]
 

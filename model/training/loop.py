@@ -15,6 +15,7 @@ import torch
 
 from disk import PathLike, remove_leftovers
 from disk.checksums import ZEROS
+from disk.counted import counted
 from itof.wall.wall_view import WallPlaceError
 from model.data.channel_scaling import fit_input_spec, largest_shift_m
 from model.data.corner import many_corners_problem, wall_view
@@ -75,8 +76,8 @@ class TrainingResult:
     def sentence(self, out: PathLike) -> str:
         """The outcome as text; `out` is the run folder."""
         return (
-            f"{self.epochs} epochs, ended by {self.ended_by}; best epoch {self.best_epoch}, with the "
-            f"validation loss {self.best_validation_loss:.4f}; run in {out}"
+            f"{counted(self.epochs, 'epoch')}, ended by {self.ended_by}; best epoch {self.best_epoch}, with "
+            f"the validation loss {self.best_validation_loss:.4f}; run in {out}"
         )
 
 

@@ -16,9 +16,12 @@ def chebyshev(count: int) -> tuple[Floats, Floats]:
 
 
 def interpolation(count: int, at: Floats) -> Floats:
-    """(..., count) shares of Chebyshev nodes at places (...,) of [-1, 1] (Berrut and Trefethen 2004)."""
+    """(..., count) shares of Chebyshev nodes at places (...,) of [-1, 1] (Berrut and Trefethen 2004).
+
+    A place beyond is taken for the nearer end: polynomials grow without bound there.
+    """
     nodes, weights = chebyshev(count)
-    gap = at[..., None] - nodes
+    gap = np.clip(at, -1, 1)[..., None] - nodes
     matrix = weights / np.where(np.abs(gap) < 1e-14, 1e-14, gap)
     shares: Floats = matrix / matrix.sum(-1, keepdims=True)
     return shares

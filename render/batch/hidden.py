@@ -103,12 +103,17 @@ class HiddenRatios:
     error: float
 
     def of(self, scenes: Scenes) -> tuple[NDArray[np.complex64], Floats]:
-        """(N, H, W, F) hidden over direct light, and the error (N,), which may be above the wanted one."""
+        """(N, H, W, F) hidden over direct light, and the error (N,), which may be above the wanted one.
+
+        Both are 0 of an empty corner.
+        """
         count = len(scenes.scenes)
-        effort = _Effort.first(scenes, self.error)
         ratio = np.zeros((count, self.height, self.width, len(scenes.batch.phase_per_metre)), np.complex64)
         error = np.zeros(count)
-        left = np.arange(count)
+        left = np.array([n for n, scene in enumerate(scenes.scenes) if scene.hidden_objects], int)
+        if not len(left):
+            return ratio, error
+        effort = _Effort.first(scenes, self.error)
         for _ in range(_MOST_PASSES):
             tried = effort.some(left)
             values, of_points, of_lattice = self._evaluated(scenes, left, tried)
@@ -215,7 +220,7 @@ def first_level(scene: Scene) -> int:
     shapes = [part.shape for part in scene.hidden_objects]
     if len(shapes) > 1:
         return _SEVERAL
-    return _CONVEX if is_convex(shapes[0]) else _SHEET_OR_MESH
+    return _CONVEX if all(map(is_convex, shapes)) else _SHEET_OR_MESH
 
 
 def _lacking(of_points: Floats, of_lattice: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

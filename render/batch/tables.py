@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, radians, sin
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 _ROUGHNESS_STEP = 0.05  # of the surfaces that are mixed
 _CELL = 4.0  # distance of the unit meshes in their scene, in units of their box
+_MOST_BOXES = 4096  # that are kept
 _GRID = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), -1).reshape(-1, 3)
 
 
@@ -87,7 +88,8 @@ class Scenes:
     Attributes
     ----------
     scenes : as plain data.
-    different : their corners, each once; `corner` (N,) is that of each scene.
+    different : their corners, each once, and `boxes` of these (`Corners.box`); `corner` (N,) is that of each
+        scene.
     objects : all hidden objects, scene by scene.
     first_object : (N + 1,) of each scene.
     batch : the arrays of the kernels.
@@ -95,6 +97,7 @@ class Scenes:
 
     scenes: Sequence[Scene]
     different: Corners
+    boxes: Floats
     corner: NDArray[np.int64]
     objects: list[PlacedObject]
     first_object: NDArray[np.int64]
@@ -108,7 +111,7 @@ class Scenes:
     @cached_property
     def box(self) -> Floats:
         """(N, 4) the part of each image that shows the relay wall (`Corners.box`)."""
-        return self.different.box()[self.corner]
+        return self.boxes[self.corner]
 
     def objects_of(self, scene: int) -> list[PlacedObject]:
         """The hidden objects of a scene."""
@@ -147,6 +150,7 @@ class World:
             dr.set_thread_count(threads)
         self.cells = {shape: cell for cell, shape in enumerate(self.meshes)}
         self.scene = _mesh_scene(list(self.meshes.values()))
+        self._boxes = _Boxes({})
 
     def scenes(self, scenes: Sequence[Scene], frequencies_hz: Sequence[float]) -> Scenes:
         """The arrays of some scenes."""
@@ -157,7 +161,7 @@ class World:
         from render.batch.kernels.wall import Batch
         from render.transport.kernels.arrays import upload, upload_indices
 
-        different, corner = _different_corners(scenes)
+        different, corner, keys = _different_corners(scenes)
         corners = different.some(corner)
         objects = [
             PlacedObject.of(number, part, corners.axes[number], corners.origin[number])
@@ -167,16 +171,17 @@ class World:
         counts = np.array([len(scene.hidden_objects) for scene in scenes])
         first = np.concatenate([[0], np.cumsum(counts)])
         shadowing = [_can_be_in_shadow(scene) for scene in scenes]
-        rows = np.stack([placed.rows(self.cells[placed.shape]) for placed in objects])
+        rows = [placed.rows(self.cells[placed.shape]) for placed in objects]
+        rows = rows or [np.zeros((Shadows.ROWS, 4))]  # of no scene: the kernels need an array
         last = np.where(shadowing, first[1:], first[:-1])
         shadows = Shadows(
-            *(self.scene, upload_indices(first[:-1]), upload_indices(last), upload(rows)),
+            *(self.scene, upload_indices(first[:-1]), upload_indices(last), upload(np.stack(rows))),
             any(quadric_of(shape)[1] is Hiding.MESH for shape in self.cells),
         )
         walls, transmittance = self._walls(scenes, corners)
         turns = [dr.opaque(mi.Float, float(k)) for k in phase_per_metre(frequencies_hz)]
         batch = Batch(upload(walls), upload(transmittance), turns, shadows)
-        return Scenes(scenes, different, corner, objects, first, batch)
+        return Scenes(scenes, different, self._boxes.of(keys, different), corner, objects, first, batch)
 
     def _walls(self, scenes: Sequence[Scene], corners: Corners) -> tuple[Floats, Floats]:
         """(N, 24) numbers of `kernels.wall.Wall`, and (N, COSINES) what passes the surface, by cosine."""
@@ -214,9 +219,28 @@ class World:
         return passed + share * (more_passed - passed), internal + share * (more_internal - internal)
 
 
-def _different_corners(scenes: Sequence[Scene]) -> tuple[Corners, NDArray[np.int64]]:
-    """The corners of scenes, each once, and which one each scene has."""
-    number: dict[Any, int] = {}
+@dataclass(frozen=True)
+class _Boxes:
+    """The boxes of corners by their keys: a search comes back to the same few corners in each step."""
+
+    known: dict[Hashable, Floats]
+
+    def of(self, keys: Sequence[Hashable], corners: Corners) -> Floats:
+        """(N, 4) `Corners.box` of corners with these keys."""
+        new = [place for place, key in enumerate(keys) if key not in self.known]
+        if len(self.known) + len(new) > _MOST_BOXES:
+            self.known.clear()
+            new = list(range(len(keys)))
+        if new:
+            self.known.update(
+                zip([keys[place] for place in new], corners.some(np.array(new)).box(), strict=True)
+            )
+        return np.stack([self.known[key] for key in keys])
+
+
+def _different_corners(scenes: Sequence[Scene]) -> tuple[Corners, NDArray[np.int64], list[Hashable]]:
+    """The corners of scenes, each once, which one each scene has, and a key of each corner."""
+    number: dict[Hashable, int] = {}
     different: list[Scene] = []
     corner = []
     for scene in scenes:
@@ -226,7 +250,7 @@ def _different_corners(scenes: Sequence[Scene]) -> tuple[Corners, NDArray[np.int
             number[key] = len(different)
             different.append(scene)
         corner.append(number[key])
-    return Corners.of(different), np.array(corner)
+    return Corners.of(different), np.array(corner), list(number)
 
 
 def _mesh_scene(meshes: Sequence[UnitMesh]) -> mi.Scene:
@@ -248,7 +272,7 @@ def _mesh_scene(meshes: Sequence[UnitMesh]) -> mi.Scene:
 def _can_be_in_shadow(scene: Scene) -> bool:
     """Whether an object can hide light from itself or from another one: only a single convex solid cannot."""
     shapes = [part.shape for part in scene.hidden_objects]
-    return len(shapes) > 1 or not is_convex(shapes[0])
+    return len(shapes) > 1 or not all(map(is_convex, shapes))
 
 
 def _dual(edges: Floats) -> Floats:

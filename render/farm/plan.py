@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from disk.byte_size import size
+from disk.counted import counted
 from itof import TransientLayout
 from render.settings import RenderSettings
 from scenegen import IMAGE_FILES, TRANSIENT_FILES, Dataset, read_record
@@ -55,7 +56,7 @@ class Plan:
         space = f"phasors and ground truth {images}, transients {transients}"
         if not self.settings.wants_transients:
             space = f"phasors and ground truth {images} (transients would be {transients} more)"
-        what = f"{self.scenes} scenes at {layout.width}x{layout.height}, {self.settings.method}"
+        what = f"{counted(self.scenes, 'scene')} at {layout.width}x{layout.height}, {self.settings.method}"
         lines = [
             f"plan: {what}, product {self.settings.product}",
             f"disk: {space}; {size(self.scene_bytes)} a scene, {size(self.free_bytes)} free",
@@ -90,11 +91,11 @@ class Plan:
             proposals.append(f"--resolution {resolution} fits")
         fitting = int(self.free_bytes / (_MARGIN * self.scene_bytes))
         if fitting > 0:
-            proposals.append(f"{fitting} scenes fit")
+            proposals.append(f"there is room for {counted(fitting, 'scene')}")
         advice = "; ".join([*proposals, "--accept small-disk renders until the disk is full"])
         return (
-            f"{self.scenes} scenes need about {size(self.needed_bytes)}, and {size(self.free_bytes)} are "
-            f"free on the disk of {self.dataset.root}: {advice}"
+            f"the disk of {self.dataset.root} has {size(self.free_bytes)} free, and "
+            f"{counted(self.scenes, 'scene')} would take about {size(self.needed_bytes)}: {advice}"
         )
 
     def _fitting_resolution(self) -> str | None:

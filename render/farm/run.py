@@ -131,7 +131,7 @@ def plan_run(
     if found.todo:
         plan = _checked_plan(dataset, settings, found, options, say)
     else:
-        say(f"nothing to render: {len(found.done)} scenes are rendered, {found.skipped} failed earlier")
+        say(f"nothing to render: {len(found.done)} rendered before, {found.skipped} failed earlier")
     return _with_errors(RunResult(0, len(found.done), skipped_failures=found.skipped, plan=plan), dataset)
 
 

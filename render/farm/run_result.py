@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from disk.counted import counted
 from render.farm.plan import Plan
 from render.farm.run_log import LOG_FILE
 from render.settings import RenderSettings
@@ -56,7 +57,7 @@ class RunResult:
 
     def sentences(self, renders: Path) -> list[str]:
         """The result as lines of text; `renders` is the folder of the renders."""
-        lines = [f"{self.rendered} scenes rendered, {self.present} were there already; {renders}"]
+        lines = [f"{counted(self.rendered, 'scene')} rendered, {self.present} were there already; {renders}"]
         largest, wanted = self.hidden_error_max, self.wanted_error
         if largest is not None and wanted is not None and largest > wanted:
             lines.append(
@@ -85,12 +86,12 @@ class RunResult:
         lines = failure_lines(self.failures)
         if self.failures:
             lines.append(
-                f"{len(self.failures)} scenes failed; logs are in {renders}/<id>/failure.log, and "
+                f"{counted(len(self.failures), 'scene')} failed; logs are in {renders}/<id>/failure.log, and "
                 "night-render DATASET --again failed tries them again"
             )
         if self.skipped_failures:
             lines.append(
-                f"{self.skipped_failures} scenes failed earlier and were left out: night-render DATASET "
-                "--again failed tries them again, night-render status DATASET lists them"
+                f"left out: {counted(self.skipped_failures, 'scene')} that failed earlier; night-render "
+                "status DATASET says which, night-render DATASET --again failed tries again"
             )
         return lines

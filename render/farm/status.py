@@ -13,6 +13,7 @@ from statistics import median_low
 from typing import Any
 
 from disk.byte_size import size
+from disk.counted import counted
 from processes.progress import duration
 from render.farm.claims import running
 from render.farm.inventory import Inventory, State
@@ -88,7 +89,7 @@ class Status:
             f"{self.counts['failed']} failed",
             f"{waiting} missing",
         ]
-        lines = [f"{total} scenes: {', '.join(parts)}"]
+        lines = [f"{counted(total, 'scene')}: {', '.join(parts)}"]
         if self.counts["damaged"]:
             lines.append(f"{self.counts['damaged']} of the missing scenes are damaged")
         if self.counts["other"]:

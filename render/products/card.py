@@ -14,6 +14,7 @@ from typing import Any
 
 from disk import NightError
 from disk.byte_size import size
+from disk.counted import counted
 from disk.frequency_text import megahertz
 from disk.plain_file import read_plain
 from itof import DEPTH_CHANNEL, MASK_CHANNEL, combined_range_m
@@ -203,7 +204,7 @@ def _making(dataset: Dataset) -> str:
             ("rendering", f"method {rendering.method} ({options}), product {rendering.product}"),
             (
                 "rendered images",
-                f"{rendering.width} x {rendering.height} pixels, {rendering.scene_count} scenes",
+                f"{rendering.width} x {rendering.height} pixels, {counted(rendering.scene_count, 'scene')}",
             ),
             ("light paths rendered", f"at most {rendering.max_bounces} surfaces"),
             ("packages of the renders", _versions(rendering.packages)),

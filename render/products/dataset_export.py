@@ -12,6 +12,7 @@ from typing import Any
 
 from disk import PathLike, sha256_of
 from disk.byte_size import size
+from disk.counted import counted
 from disk.extras import need
 from render.products.card import read_card
 from render.products.conversion import ExportError, exported_file, exported_folder
@@ -54,9 +55,10 @@ class Export:
         """The result as lines of text."""
         lines = [f"left out: {sentence}" for sentence in list(self.left_out.values())[:_LISTED]]
         if len(self.left_out) > _LISTED:
-            lines.append(f"left out: {len(self.left_out) - _LISTED} more scenes, which the file names")
+            lines.append(f"left out: {len(self.left_out) - _LISTED} more, which the file names")
         parts = ", ".join(f"{count} {split}" for split, count in self.scenes.items())
-        lines.append(f"{sum(self.scenes.values())} scenes in {self.file}: {parts}; {size(self.bytes)}")
+        total = counted(sum(self.scenes.values()), "scene")
+        lines.append(f"{total} in {self.file}: {parts}; {size(self.bytes)}")
         return [*lines, f"SHA-256: {self.sha256}"]
 
 

@@ -31,7 +31,7 @@ class Distributions:
 
     Attributes
     ----------
-    locations_m, rotations_deg : (N, 3) of the first object of each scene.
+    locations_m, rotations_deg : (N, 3) of the first object of each scene that has one.
     second_locations_m, second_rotations_deg : (M, 3) of the second objects of composites.
     roughness : of the relay wall, of all scenes where it is rough.
     class_counts : number of scenes by class and split; classes in the order of the dataset.
@@ -72,7 +72,7 @@ def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Dist
     object_pixels, image_pixels, sizes = {}, {}, set()
     for entry in dataset.index.scenes:
         scene = dataset.scene(entry.id)
-        first.append(scene.hidden_objects[0])
+        first += scene.hidden_objects[:1]
         second += scene.hidden_objects[1:]
         if scene.relay_wall.roughness is not None:
             roughness.append(scene.relay_wall.roughness)
@@ -83,8 +83,8 @@ def read_distributions(dataset: Dataset, on_scene: Callable[[], object]) -> Dist
             sizes.add((mask.shape[1], mask.shape[0]))
         on_scene()
     return Distributions(
-        locations_m=np.array([part.location_m for part in first]),
-        rotations_deg=np.array([part.rotation_deg for part in first]),
+        locations_m=np.array([part.location_m for part in first]).reshape(-1, 3),
+        rotations_deg=np.array([part.rotation_deg for part in first]).reshape(-1, 3),
         second_locations_m=np.array([part.location_m for part in second]).reshape(-1, 3),
         second_rotations_deg=np.array([part.rotation_deg for part in second]).reshape(-1, 3),
         roughness=tuple(roughness),

@@ -50,10 +50,14 @@ def hidden_start_m(dataset: Dataset, scene: Scene, layout: TransientLayout, row:
     from there to the camera. This is the minimum of |e' - s| + |s - w| over the object, less the
     extent of the pixel on the wall, plus the shortest way to the camera. Further bounces make the way longer.
 
+    In an empty corner it is infinite.
+
     Raises
     ------
     RenderError : a mesh of the scene is missing or damaged.
     """
+    if not scene.hidden_objects:
+        return np.inf
     depths_m = _corner_depths_m(scene, layout)[row : row + 2, column : column + 2]  # (2, 2)
     camera_m = np.array(scene.camera.location_m)
     directions = _corner_rays(scene, layout)[row : row + 2, column : column + 2]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from disk import NightError
+from disk.counted import counted
 from itof import read_image
 from processes.worker_processes import results_in_order, worker_pool
 from render.farm.claims import claimed
@@ -92,7 +93,7 @@ class Verification:
                 "This is a defect of NIGHT, in the render or in the check: please report it"
                 for id_ in self.defects
             ),
-            f"{self.checked} scenes checked: {counts}",
+            f"{counted(self.checked, 'scene')} checked: {counts}",
         ]
 
 

@@ -1,4 +1,9 @@
-"""Method ``path``: path tracing with ``transient_path`` of mitransient, the unbiased reference."""
+"""Method ``path``: path tracing with ``transient_path`` of mitransient, the unbiased reference.
+
+Our changes: returns are split over three bins; rays start at the pinhole, not at the near clip plane; the
+projector's frustum is 0.001 degrees wider than the camera's; pixel samples are stratified; paths are added in
+float64; NaN stops the render.
+"""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from errno import EBADF
 from pathlib import Path
 from types import MappingProxyType
 
+from disk.counted import counted
 from disk.inner_paths import inside
 from disk.locks import lock
 from disk.partials import is_partial, remove_leftovers
@@ -108,14 +109,14 @@ def surplus(root: Path, count: int) -> list[Path]:
 def refuse_files_of_others(files: Iterator[Path]) -> None:
     """`DatasetError` with the names of the first `files`, if there are any.
 
-    A scene's folder is replaced as a whole. What somebody else put there would be lost.
+    Folders of scenes and renders are replaced as a whole. What somebody else put there would be lost.
     """
     found = sorted(files)
     if found:
         names = ", ".join(str(file) for file in found[:_NAMED])
         more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
         raise DatasetError(
-            f"night-gen did not make {names}{more} and would replace the folder: move them elsewhere"
+            f"NIGHT did not make {names}{more}, which would be deleted with the folder: move them elsewhere"
         )
 
 
@@ -158,8 +159,8 @@ def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str], *, rep
         )
     if preset.dataset.count < count:
         raise DatasetError(
-            f"{root} already holds {count} scenes, and {preset.dataset.count} are asked for: "
-            f"give --count {count} or more, or choose an empty folder"
+            f"{root} already holds {counted(count, 'scene')}, and {preset.dataset.count} is less: give "
+            f" --count {count} or more, or choose an empty folder"
         )
     for shape, sha256 in index.meshes.items():
         if meshes.get(shape) != sha256:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 from full_disk import file_size_limit
-from night_commands import FIGURES, TRAINING, UNCERTAINTY, night, night_here, words
+from night_commands import FIGURES, TRAINING, UNCERTAINTY, night, night_here, refusal, words
 from render_runs import workers_of
 
 from disk.byte_size import size
@@ -32,7 +32,7 @@ def test_the_four_commands_go_from_nothing_to_a_judged_depth_map(pipeline):
     folder = pipeline.folder
     dataset = open_dataset(folder / "data")
     assert pipeline.gen.stdout == f"7 scenes in {folder / 'data'}: 4 train, 2 validation, 1 test\n"
-    assert pipeline.render.stdout.startswith("1 scenes rendered, 6 were there")
+    assert pipeline.render.stdout.startswith("1 scene rendered, 6 were there")
     assert pipeline.train.stdout.startswith("2 epochs, ended by max_epochs; best epoch ")
     assert "no object" in pipeline.eval.stdout
     for scene_id in dataset.ids():
@@ -71,7 +71,7 @@ def test_a_second_render_keeps_what_is_there_and_mends_what_is_not(pipeline_copy
     (pipeline_copy / "data" / "renders" / "000003" / "itof.exr").unlink()
     done = render_here(pipeline_copy / "data", "--device", "cpu")
     assert done.returncode == 0
-    assert done.stdout.startswith("1 scenes rendered, 6 were there")
+    assert done.stdout.startswith("1 scene rendered, 6 were there")
 
 
 @pytest.mark.long
@@ -81,7 +81,7 @@ def test_only_renders_only_that_scene(pipeline_copy, render_here):
     only = ["--only", "000002", "--only", "000002", "--method", "path", "--spp", "4", "--resolution", "12x9"]
     done = render_here(data, *only)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("1 scenes rendered")
+    assert done.stdout.startswith("1 scene rendered")
     assert [folder.name for folder in (data / "renders").glob("0*")] == ["000002"]
 
 
@@ -118,7 +118,7 @@ def test_a_dry_run_prints_the_plan_and_changes_nothing(pipeline_copy):
     done = night_here("night-render", data, "--dry-run", "--device", "cpu")
     assert done.returncode == 0, done.stderr
     assert (done.stdout + done.stderr).count("plan: ") == 1
-    assert done.stdout.startswith("plan: 1 scenes at 24x18, many-light, product both\ndisk: ")
+    assert done.stdout.startswith("plan: 1 scene at 24x18, many-light, product both\ndisk: ")
     assert tree(data) == before
     other = night_here("night-render", data, "--dry-run", "--again", "changed", "--resolution", "12x9")
     assert other.returncode == 0, other.stderr
@@ -135,15 +135,15 @@ def test_a_dry_run_prints_the_plan_and_changes_nothing(pipeline_copy):
 
 def test_a_dry_run_of_a_rendered_dataset_has_nothing_to_do(pipeline):
     done = night_here("night-render", pipeline.folder / "data", "--dry-run", "--device", "cpu")
-    assert done.stdout == "nothing to render: 7 scenes are rendered, 0 failed earlier\n"
+    assert done.stdout == "nothing to render: 7 rendered before, 0 failed earlier\n"
 
 
 def test_a_dataset_called_like_a_command_is_given_by_a_path(pipeline_copy):
     (pipeline_copy / "data").rename(pipeline_copy / "verify")
     done = night_here("night-render", "./verify", "--dry-run", cwd=pipeline_copy)
-    assert done.stdout.startswith("nothing to render: 7 scenes")
+    assert done.stdout.startswith("nothing to render: 7 rendered")
     done = night_here("night-render", "verify", "verify", "--only", "000001", cwd=pipeline_copy)
-    assert done.stdout == "1 scenes checked: 1 good, 0 bad; 0 not rendered\n"
+    assert done.stdout == "1 scene checked: 1 good, 0 bad; 0 not rendered\n"
 
 
 def test_a_movie_is_named_after_its_scene_unless_told_otherwise(pipeline, tmp_path):
@@ -156,10 +156,17 @@ def test_dropped_transients_are_gone_and_the_rest_stays(pipeline_copy):
     renders = pipeline_copy / "data" / "renders"
     found = size(sum(file.stat().st_size for file in renders.glob("000001/*transient.exr")))
     done = night_here("night-render", "drop-transients", pipeline_copy / "data", "--only", "000001", "--yes")
-    assert done.stdout == f"1 scenes have no transients now: {found} freed\n"
+    assert done.stdout == f"{found} freed: the transients of 1 scene are deleted\n"
     names = {file.name for file in (renders / "000001").iterdir()}
     assert names == {"itof.exr", "mirrored.exr", "render.json"}
     assert (renders / "000002" / "transient.exr").exists()
+
+
+def test_what_the_commands_made_may_be_replaced(pipeline_copy):
+    data = pipeline_copy / "data"
+    assert {file.name for file in data.iterdir()} > {"renders", "shards"}
+    said = refusal("night-gen", "scenes", data, "--preset", "paper", "--replace")
+    assert said.startswith(f"this would delete 7 scenes and 7 renders in {data}, ")
 
 
 def test_a_pipe_that_is_closed_ends_a_command_silently(pipeline):

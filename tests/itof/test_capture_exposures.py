@@ -14,7 +14,7 @@ RAW = np.round(1000 * taps_of(PHASOR, steps(4), steps(2)))[None]  # (N, H, W, F,
 
 def test_exposure_times_must_be_as_many_as_the_frames(tmp_path):
     sidecar = sidecar_of(tmp_path, exposures_s=[1e-3, 2e-3])
-    with pytest.raises(CaptureError, match="holds 1 frames, and 2 exposure times are given"):
+    with pytest.raises(CaptureError, match="holds 1 frame, and 2 exposure times are given"):
         raw_of(sidecar, raw=RAW)
     sidecar = sidecar_of(tmp_path, exposure_array="t")
     raw = raw_of(sidecar, raw=np.concatenate([RAW, 2 * RAW]), t=np.array([1.0, 2.0]))

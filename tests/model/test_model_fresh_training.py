@@ -172,5 +172,5 @@ def test_the_command_trains_on_fresh_scenes(closed_form_scenes, tmp_path):
         *("night-train", closed_form_scenes.root, "--fresh", scenes, "--out", run, "--preset", chosen)
     )
     assert done.returncode == 0, done.stderr
-    assert "1 epochs, ended by max_epochs" in done.stdout
+    assert "1 epoch, ended by max_epochs" in done.stdout
     assert (run / "best.safetensors").is_file()

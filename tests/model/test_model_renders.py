@@ -59,7 +59,7 @@ def test_scenes_that_could_not_be_rendered_are_left_out_until_they_can(dataset, 
     shutil.move(dataset.render_folder("000002"), kept)
     write_failure(dataset.render_folder("000002"), failure, "log")
     fewer = open_shards(dataset)
-    assert "1 scenes that could not be rendered are left out, first 000002" in caplog.text
+    assert "scenes that could not be rendered are left out: 1, first 000002" in caplog.text
     assert fewer.ids(range(5)) == whole.ids(rows)
     assert np.array_equal(fewer.read(range(5)).phasors, expected)
     shutil.rmtree(dataset.render_folder("000002"))

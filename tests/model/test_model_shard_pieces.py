@@ -69,7 +69,7 @@ def test_fresh_shards_are_used_again_and_a_changed_render_rebuilds_its_piece_alo
     edit_image(pairs.render_folder("000002") / "mirrored.exr", depth_R=lambda depth: depth * np.float32(1.5))
     changed = open_shards(pairs)
     after = changed.read(range(6))
-    assert "1 renders changed, first renders/000002/mirrored.exr" in caplog.text
+    assert "1 render changed, first renders/000002/mirrored.exr" in caplog.text
     assert rewritten(files, inodes(pairs)) == {"000002"}
     np.testing.assert_allclose(after.radial_depth_m[2], before.radial_depth_m[2] * 1.5, rtol=1e-6)
     others = [0, 1, 3, 4, 5]

@@ -74,7 +74,7 @@ def test_both_truths_have_shards_of_their_own_and_neither_is_built_again(dataset
     open_shards(dataset)
     assert "building" not in caplog.text
     open_shards(dataset, ground_truth="simulated")
-    assert "1 renders changed, first renders/000000/mirrored_transient.exr" in caplog.text
+    assert "1 render changed, first renders/000000/mirrored_transient.exr" in caplog.text
 
 
 @pytest.mark.long

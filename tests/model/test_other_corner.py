@@ -26,8 +26,8 @@ def scenes(root, **camera) -> Dataset:
 @pytest.mark.parametrize(
     ("camera", "words"),
     [
-        ({"horizontal_fov_deg": 70.0}, "60: use another network, or import the capture with --fov 60"),
-        ({"horizontal_fov_deg": 50.0}, "is 50 degrees, and the training saw 60: use another network; "),
+        ({"horizontal_fov_deg": 70.0}, "60 (a capture can be imported with --fov 60); "),
+        ({"horizontal_fov_deg": 50.0}, "is 50 degrees, and the training saw 60; "),
         ({"location_m": [AT[0] + 0.3, *AT[1:]]}, "the wall is not where the run has it, but 30.0 cm farther"),
         (
             {"rotation_deg": [90.0, 0.0, 70.0]},
@@ -39,6 +39,7 @@ def test_scenes_of_another_corner_are_judged_only_by_force(finished_run, tmp_pat
     data = scenes(tmp_path / "data", **camera)
     sentence = refusal("night-eval", finished_run, data.root, "--out", tmp_path / "report", "--device", "cpu")
     assert words in sentence
+    assert "; night-train --for PRESET --out RUN makes a network" in sentence
     assert sentence.endswith("with --force (force=True) it is judged all the same")
     assert not (tmp_path / "report").exists()
     with pytest.raises(EvaluationError, match=r"is not what .* was trained on"):

@@ -19,7 +19,7 @@ from model.refinement.refining import refined
 from model.refinement.sketch import Draws, Sketch
 from model.refinement.unknowns import Fitted, moved
 from scenegen import Preset, preset_from_dict
-from scenegen.preset import ShapeSizes
+from scenegen.object_settings import ShapeSizes
 
 HZ = (20e6, 50e6, 60e6)
 WIDTH, HEIGHT = 40, 30

@@ -66,7 +66,7 @@ def test_work_that_was_done_before_makes_no_pace():
 
 def test_work_of_unknown_size_has_no_end_in_sight():
     assert run_of(None, [31.0, 31.0], description="") == [
-        "1 scenes, 31.0 s/scene, 31 s so far",
+        "1 scene, 31.0 s/scene, 31 s so far",
         "2 scenes, 31.0 s/scene, 62 s so far",
     ]
 

@@ -13,6 +13,7 @@ from numpy.linalg import norm
 from disk.preset_files import read_settings
 from itof import TransientLayout, pixel_rays
 from render.batch.candidates import CandidateLight
+from render.batch.chebyshev import chebyshev, interpolation
 from render.batch.light import BatchedLight
 from scenegen import load_preset, preset_from_dict
 from scenegen.geometry_check import refusal
@@ -306,3 +307,14 @@ def test_smaller_errors_are_kept():
         errors = [norm(a - b) / norm(b) for a, b in zip(found, finer, strict=True)]
         # of 21: 5 % of them, and two standard deviations
         assert np.count_nonzero(np.array(errors) > error) <= 3, error
+
+
+@pytest.mark.parametrize("count", [6, 13, 40])
+def test_polynomials_end_with_the_wall_that_an_image_shows(count):
+    """Beside it they would be divided by sums that cancel: such images had values that are none."""
+    beyond = np.array([-50.0, -1.9, -1.0, 1.0, 1.97, 50.0])
+    shares = interpolation(count, beyond)
+    np.testing.assert_allclose(shares[:3], shares[2:3].repeat(3, axis=0), atol=0)
+    np.testing.assert_allclose(shares[3:], shares[3:4].repeat(3, axis=0), atol=0)
+    places, _ = chebyshev(count)
+    np.testing.assert_allclose(shares @ places, np.clip(beyond, -1, 1), atol=1e-12)  # exact for lines

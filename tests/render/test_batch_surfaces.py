@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from render.batch.free_surface import free_parts
 from render.batch.surface_points import surface_points
 from render.batch.tables import PlacedObject
-from scenegen.preset import ShapeSizes
+from scenegen.object_settings import ShapeSizes
 from scenegen.shapes import PRIMITIVES
 from scenegen.unit_meshes import unit_mesh
 

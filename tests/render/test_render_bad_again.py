@@ -77,7 +77,7 @@ def test_a_render_with_other_bytes_makes_a_bad_one_forgotten(
 ):
     assert verify(rendered_copy)[1]["defects"] == []
     assert read_bad_render(wrong) is not None
-    assert render_here(rendered_copy).stdout.startswith("1 scenes rendered, 6 were there")
+    assert render_here(rendered_copy).stdout.startswith("1 scene rendered, 6 were there")
     assert read_bad_render(wrong) is None
     assert results(rendered_copy) == results(seven_renders)
     assert verify(rendered_copy)[0] == 0
@@ -90,7 +90,7 @@ def test_a_render_with_the_same_bytes_is_remembered_until_it_is_found_good(rende
     record = read_record(folder)
     write_bad_render(folder, BadRender(record.recipe, record.files, ("the check was wrong",)))
     (folder / "render.json").unlink()
-    assert render_here(rendered_copy).stdout.startswith("1 scenes rendered, 6 were there")
+    assert render_here(rendered_copy).stdout.startswith("1 scene rendered, 6 were there")
     assert status(rendered_copy)["defects"] == {SCENE: "the check was wrong"}
     assert verify(rendered_copy)[0] == 0
     assert read_bad_render(folder) is None

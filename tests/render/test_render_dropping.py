@@ -86,7 +86,7 @@ def test_without_a_terminal_nothing_is_deleted_unless_told_so(transient_copy, fo
     found = size(transient_bytes(transient_copy, ["000000"]))
     sentence = refusal("night-render", "drop-transients", transient_copy.root, "--only", "000000")
     assert sentence == (
-        f"this would delete the transients of 1 scenes, {found}, which only rendering brings back: "
+        f"this would delete the transients of 1 scene, {found}, which only rendering brings back: "
         "give --yes to delete without a question"
     )
     assert (folder / "transient.exr").is_file()

@@ -96,7 +96,7 @@ def test_a_hostile_scene_file_is_never_opened(unrendered, seven_renders, render_
             r"scene.xml and 1 more such files differ from scene.json, which has no effect", done.stderr
         )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("1 scenes rendered")
+    assert done.stdout.startswith("1 scene rendered")
     for name, values in measured(seven_renders).channels.items():
         np.testing.assert_array_equal(measured(unrendered).channels[name], values)
 
@@ -133,7 +133,7 @@ def test_an_edited_scene_is_rendered_as_it_is_when_that_is_accepted(unrendered, 
     assert "1 done" in night_here("night-render", "status", unrendered).stdout
     assert render_here(unrendered, *ONLY).stdout.startswith("0 scenes rendered, 1 were there")
     assert night_here("night-render", "verify", unrendered).stdout.startswith(
-        "1 scenes checked: 1 good, 0 bad"
+        "1 scene checked: 1 good, 0 bad"
     )
     brighten_back = scene(unrendered, "scene.json")
     brighten_back.write_text(brighten_back.read_text().replace('"irradiance": 2.0', '"irradiance": 1.0'))

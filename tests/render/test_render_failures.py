@@ -24,7 +24,7 @@ def test_a_scene_that_cannot_be_rendered_leaves_the_others_alone(three_missing, 
     assert "Traceback" not in done.stderr
     assert "Traceback" in (three_missing / "renders" / "000004" / "failure.log").read_text()
     mesh.write_bytes(whole)  # another scene than the one that failed: no --again failed needed
-    assert render_here(three_missing).stdout.startswith("1 scenes rendered, 6 were there")
+    assert render_here(three_missing).stdout.startswith("1 scene rendered, 6 were there")
     assert results(three_missing) == results(seven_renders)
 
 
@@ -36,7 +36,7 @@ def test_scenes_whose_description_is_gone_fail_alone(three_missing, seven_render
     (scenes / "000005" / "scene.json").unlink()
     done = render_here(three_missing, "--accept", "edited")
     assert done.returncode == 1
-    assert done.stdout.startswith("1 scenes rendered, 4 were there")
+    assert done.stdout.startswith("1 scene rendered, 4 were there")
     assert re.search(r"failed: scene 000004: .*night-gen scenes again", done.stderr)
     assert re.search(r"failed: scene 000005: .*night-gen scenes again", done.stderr)
     status = night_here("night-render", "status", three_missing)

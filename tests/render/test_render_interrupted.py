@@ -130,9 +130,9 @@ def test_a_full_disk_stops_the_run_and_what_is_done_stays(
         resize(used + 700_000)  # a scene takes 480 kB
         refused = render_here(data)
         assert refused.returncode == 2
-        assert "3 scenes need about" in refused.stderr
+        assert "3 scenes would take about" in refused.stderr
         assert "--product itof needs" in refused.stderr
-        assert "1 scenes fit" in refused.stderr
+        assert "there is room for 1 scene" in refused.stderr
         assert not (data / "renders" / "000004").exists()
         full = render_here(data, "--accept", "small-disk")
         assert full.returncode == 2

@@ -53,7 +53,7 @@ def test_a_plan_that_does_not_fit_says_what_would(dataset):
     refusal = tight.refusal()
     assert "--product itof needs" in refusal
     assert "--resolution 16x12 fits" in refusal  # a 16th of the pixels; a quarter of them is too many
-    assert "1 scenes fit" in refusal
+    assert "there is room for 1 scene" in refusal
     small = replace(tight, settings=RenderSettings(product="itof"))
     assert small.refusal() is None
 

@@ -23,7 +23,7 @@ def test_other_settings_replace_nothing_unasked(rendered_copy, seven_renders, re
     assert results(rendered_copy) == results(seven_renders)
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
     done = render_here(rendered_copy, "--again", "changed", "--only", "000003", *FEWER)
-    assert done.stdout.startswith("1 scenes rendered")
+    assert done.stdout.startswith("1 scene rendered")
     assert '"lights": 64' in read_record(rendered_copy / "renders" / "000003").recipe
 
 
@@ -35,7 +35,7 @@ def test_some_scenes_do_not_get_other_settings_than_the_rest(rendered_copy, rend
     assert "scene 000000 of" in refused.stderr
     assert "all scenes of a dataset have the same" in refused.stderr
     assert results(rendered_copy) == before
-    assert render_here(rendered_copy, "--only", "000003").stdout.startswith("1 scenes rendered")
+    assert render_here(rendered_copy, "--only", "000003").stdout.startswith("1 scene rendered")
 
 
 def test_a_recorded_size_that_does_not_fit_the_camera_names_the_file(rendered_copy):
@@ -67,7 +67,7 @@ def test_transients_can_be_dropped_and_a_larger_product_adds_them_again(
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
 
     more = render_here(rendered_copy, "--product", "both", "--only", "000003")
-    assert more.stdout.startswith("1 scenes rendered")
+    assert more.stdout.startswith("1 scene rendered")
     # Transients of one scene do not mean that all scenes should have them.
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")
     rest = render_here(rendered_copy, "--product", "both")

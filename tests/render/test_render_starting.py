@@ -271,7 +271,7 @@ def test_a_worker_that_is_killed_during_the_start_changes_no_result(unrendered, 
     output, errors = process.communicate()
     assert process.returncode == 0, errors
     assert "Traceback" not in errors
-    assert output.startswith("1 scenes rendered")
+    assert output.startswith("1 scene rendered")
     assert not psutil.wait_procs(workers, timeout=300)[1]
     of_scene = {name: found for name, found in results(unrendered).items() if "000000/" in name}
     assert of_scene

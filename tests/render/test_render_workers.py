@@ -148,7 +148,7 @@ def test_a_scene_that_kills_its_worker_twice_is_recorded_and_the_rest_goes_on(
     again = render_here(data)
     assert again.returncode == 1
     assert again.stdout.startswith("0 scenes rendered, 6 were there")
-    assert "1 scenes failed earlier" in again.stderr
+    assert "left out: 1 scene that failed earlier" in again.stderr
     healed = render_here(data, "--again", "failed")
     assert healed.returncode == 0, healed.stderr
     assert results(data) == results(seven_renders)

@@ -121,9 +121,7 @@ def test_files_of_the_user_in_a_scene_folder_are_refused_by_name(maker, tmp_path
     (folder / name).unlink(missing_ok=True)
     put(folder / name)
     before = sorted(str(file) for file in tmp_path.rglob("*"))
-    with pytest.raises(
-        DatasetError, match=rf"night-gen did not make .*{folder.name}/{name}.*move"
-    ) as refused:
+    with pytest.raises(DatasetError, match=rf"NIGHT did not make .*{folder.name}/{name}.*move") as refused:
         generate(tmp_path, of_seed_5(2), maker, lambda: None)
     assert "\n" not in str(refused.value)
     assert sorted(str(file) for file in tmp_path.rglob("*")) == before
@@ -134,7 +132,7 @@ def test_a_mesh_too_many_is_not_deleted(maker, tmp_path):
     generate(tmp_path, of_seed_5(2), maker, lambda: None)
     file = tmp_path / "scenes" / scene_id(1) / "hidden_object_1.ply"  # this scene has one object
     file.write_text("mine")
-    with pytest.raises(DatasetError, match=r"night-gen did not make .*hidden_object_1.ply"):
+    with pytest.raises(DatasetError, match=r"NIGHT did not make .*hidden_object_1.ply"):
         generate(tmp_path, of_seed_5(2), maker, lambda: None)
     assert file.read_text() == "mine"
 
@@ -220,21 +218,23 @@ def test_a_dataset_is_replaced_by_one_of_another_preset_when_that_is_wanted(make
     data, file = tmp_path / "data", tmp_path / "wider.toml"
     before = of_seed_5(4)
     generate(data, before, maker, lambda: None)
-    for name in ("renders/000001/itof.exr", "shards/a.npy"):
+    for name in ("renders/000001/itof.exr", "shards/000000/mask.npy"):
         (data / name).parent.mkdir(parents=True)
         (data / name).write_bytes(bytes(1000))
     there = contents(data)
     file.write_text("[dataset]\ncount = 3\nseed = 5\n[camera]\nhorizontal_fov_deg = 55.5\n")
     command = ("night-gen", "scenes", data, "--preset", file, "--replace")
     said = refusal(*command)
-    assert said.startswith(f"this would delete 4 scenes and 1 renders in {data}, ")
+    assert said.startswith(f"this would delete 4 scenes and 1 render in {data}, ")
     assert "to make them again with dataset.count = 3, " in said
     assert "camera.horizontal_fov_deg = 55.5" in said
     assert contents(data) == there
-    note = data / "scenes" / "000003" / "notes.txt"
-    note.write_text("mine")
-    assert f"night-gen did not make {note}" in refusal(*command, "--yes")
-    note.unlink()
+    for name in ("scenes/000003", "renders", "renders/000001", "renders/000001/more", "shards/000000"):
+        note = data / name / "notes.exr"
+        note.parent.mkdir(exist_ok=True)
+        note.write_text("mine")
+        assert f"NIGHT did not make {note}" in refusal(*command, "--yes")
+        note.unlink()
     assert contents(data) == there
 
     done = night_here(*command, "--yes")

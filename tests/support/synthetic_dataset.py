@@ -92,7 +92,7 @@ def closed_form(
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.complex128]]:
     """Phasors (H, W, F), radial depth (H, W, 0 on background) and direct return (H, W, F).
 
-    The scene's first object is a point.
+    The scene's first object is a point; an empty corner has none.
     """
     camera, wall = scene.camera, scene.relay_wall
     axes, origin = camera_axes(camera), np.array(camera.location_m)
@@ -100,6 +100,8 @@ def closed_form(
     direct = direct_phasors(
         *(width, height, camera.horizontal_fov_deg, frequencies_hz, axes, origin, point, normal)
     )
+    if not scene.hidden_objects:
+        return direct, np.zeros((height, width)), direct
     rays = pixel_rays(width, height, camera.horizontal_fov_deg) @ axes  # (H, W, 3) in the world
     to_wall_m = ((point - origin) @ normal) / (rays @ normal)  # (H, W)
     on_wall = origin + rays * to_wall_m[..., None]  # (H, W, 3)

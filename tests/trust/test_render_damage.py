@@ -51,7 +51,7 @@ def test_damage_is_repaired_without_verification_too(rendered_copy, seven_render
     file.write_bytes(content)
     status = night_here("night-render", "status", rendered_copy).stdout
     assert re.search(r"^1 of the missing .* damaged", status, re.MULTILINE)
-    assert render_here(rendered_copy).stdout.startswith("1 scenes rendered, 6 were there")
+    assert render_here(rendered_copy).stdout.startswith("1 scene rendered, 6 were there")
     assert results(rendered_copy) == results(seven_renders)
 
 
@@ -65,4 +65,4 @@ def test_training_refuses_renders_that_verification_found_bad(rendered_copy, ren
         assert "scene 000000" in sentence
         assert "run night-render" in sentence
         night_here("night-render", "verify", rendered_copy)
-    assert render_here(rendered_copy).stdout.startswith("1 scenes rendered")
+    assert render_here(rendered_copy).stdout.startswith("1 scene rendered")

@@ -73,7 +73,7 @@ class Rendering:
 
         Raises
         ------
-        FreshError : none of the scenes shows hidden light, or a value is not finite.
+        FreshError : none of the scenes with an object shows hidden light, or a value is not finite.
         """
         scenes = [self.scenes.scene(index, self.meshes) for index in indices]
         images = light.images(scenes)
@@ -82,7 +82,7 @@ class Rendering:
         if wrong.any():
             scene = indices[int(np.argmax(wrong))]
             raise FreshError(f"scene {scene} of the stream has values that are no numbers")
-        if not images.hidden.any():
+        if any(scene.hidden_objects for scene in scenes) and not images.hidden.any():
             raise FreshError(
                 "the preset's corner lets no light through: the camera must see a part of the relay wall "
                 "that the hidden object sees, too"
