@@ -121,7 +121,7 @@ def check(
     "aside_m",
     type=Number(0.01, 100),
     metavar="METRES",
-    help="From the camera to the plane of the middle wall.  [default: the image shows the paper's place]",
+    help="From the camera to the plane of the middle wall.  [default: the image ends beside that wall]",
 )
 @click.option(
     "--roll",

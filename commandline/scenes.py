@@ -86,26 +86,49 @@ def scenes(
     click.echo(dataset.sentence())
 
 
-@night_gen.command(short_help="Plan, side view and distances of a corner.")
+@night_gen.command(short_help="Pictures, distances and light of a corner.")
 @click.argument("preset")
-@click.option("--out", type=FOLDER, metavar="FILE", help="A .png file.  [default: PRESET_corner.png]")
+@click.option(
+    "--out",
+    type=FOLDER,
+    metavar="FILE",
+    help="Plan and side view (.png), or page in 3-D (.html).  [default: PRESET_corner.png and .html]",
+)
 @JSON
 def corner(preset: str, out: Path | None, as_json: bool) -> None:
-    """Draw the corner of PRESET from above and from the side, and say its distances, without making scenes.
+    """Draw the corner of PRESET and say its distances and its hidden light, without making scenes.
 
     PRESET is a name in data/presets, or a .toml file. A corner that cannot be is drawn, too, and then
     refused.
     """
-    from render.products.corner_figure import write_corner
+    from render.backend import BackendError
+    from render.batch.expected_light import COST_OF_A_NETWORK, NO_LIGHT, expected_light
+    from render.products.corner_facts import corner_facts
+    from render.products.corner_figure import write_corner_figure
+    from render.products.corner_page import write_corner_page
     from scenegen.corner_check import refuse_impossible_corner
     from scenegen.making.meshes import read_meshes
 
     data, origin = read_settings("presets", preset)
     settings = preset_from_dict(data, origin)
-    meshes, file = read_meshes(settings, Path(origin).parent), out or Path(f"{Path(origin).stem}_corner.png")
-    facts = write_corner(settings, file, meshes)
-    tell([*facts.sentences, f"plan and side view: {file}"], facts.as_data(), as_json)
-    refuse_impossible_corner(settings, meshes)
+    writers = {".png": write_corner_figure, ".html": write_corner_page}
+    files = [out] if out else [Path(f"{Path(origin).stem}_corner{ending}") for ending in writers]
+    if out and out.suffix.lower() not in writers:
+        raise click.BadParameter(f"{out} must end in {' or '.join(writers)}", param_hint="--out")
+    meshes = read_meshes(settings, Path(origin).parent)
+    facts = corner_facts(settings, meshes)
+    for file in files:
+        writers[file.suffix.lower()](settings, facts, file)
+    said, found = [*facts.sentences], {**facts.as_data(), "hidden_light": None}
+    try:
+        refuse_impossible_corner(settings, meshes)
+        light = expected_light(settings, meshes)
+        said += [NO_LIGHT if light is None else light.sentence, COST_OF_A_NETWORK]
+        found["hidden_light"] = None if light is None else light.as_data()
+    except BackendError as error:
+        said.append(f"hidden light: not computed, because {error}")
+    finally:
+        tell([*said, *(f"picture: {file}" for file in files)], found, as_json)
 
 
 @night_gen.command(short_help="Contact sheet, plots and card of a dataset.")

@@ -64,11 +64,14 @@ class Augmentation:
         uniform in its logarithm. Exact: another exposure or emitter power has the same effect.
     noise_sigma : standard deviation of Gaussian noise on each phasor component, as a fraction of the pixel's
         amplitude at the first frequency.
+    largest_noise_sigma : if not 0, each image has its own deviation between `noise_sigma` and this, uniform
+        in its logarithm.
     """
 
     flip_rows: bool = False
     amplitude_spread: float = 0.0
     noise_sigma: float = 0.0
+    largest_noise_sigma: float = 0.0
 
     def measured(self, phasor: Tensor, draws: Draws) -> Tensor:
         """(N, H, W, F) phasors with random brightness and noise."""
@@ -76,9 +79,17 @@ class Augmentation:
             gain = (1 + self.amplitude_spread) ** draws.brightness  # (N,)
             phasor = phasor * gain.to(phasor.device)[:, None, None, None]
         if self.noise_sigma > 0:
-            noise = torch.stack([_noise(phasor[0], int(seed)) for seed in draws.noise_seed])
-            phasor = phasor + self.noise_sigma * phasor[..., :1].abs() * noise
+            noise = torch.stack([self._noise(phasor[0], int(seed)) for seed in draws.noise_seed])
+            phasor = phasor + phasor[..., :1].abs() * noise
         return phasor
+
+    def _noise(self, like: Tensor, seed: int) -> Tensor:
+        """Noise of an image over its amplitude, shaped like `like` and on its device."""
+        sigma = self.noise_sigma
+        if self.largest_noise_sigma > 0:
+            share = float(torch.rand(1, generator=torch.Generator().manual_seed(seed + 1)))
+            sigma *= (self.largest_noise_sigma / sigma) ** share
+        return sigma * _noise(like, seed)
 
     def changed(self, batch: Batch, draws: Draws) -> Batch:
         """The batch with half of its images upside down."""

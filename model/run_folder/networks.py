@@ -63,7 +63,7 @@ class Network:
     wall_shift_m : how far from its expected wall it knows walls, mean along the rays, metres; 0: one corner.
     needs_capture : whether it needs a capture of the empty corner.
     is_of_camera : whether a modelled camera measured its training scenes.
-    noise : of its training scenes, relative to the amplitude.
+    noise : of its training scenes, relative to the amplitude; the largest.
     validation_mae_cm, validation_miou : at the end of its training; None if there is no history.
     """
 
@@ -102,7 +102,7 @@ class Network:
             wall_shift_m=config.inputs.largest_shift_m,
             needs_capture=config.inputs.needs_capture,
             is_of_camera=augmentation.camera is not None,
-            noise=augmentation.noise_sigma,
+            noise=max(augmentation.noise_sigma, augmentation.largest_noise_sigma),
             validation_mae_cm=kept.get("validation_mae_cm"),
             validation_miou=kept.get("validation_miou"),
         )

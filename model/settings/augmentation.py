@@ -52,7 +52,17 @@ class AugmentationSettings:
     """Change the exposure at random by a factor of up to 1 + this."""
     noise_sigma: NotNegative = 1e-4
     """Noise on each component, as a fraction of the amplitude at the first frequency."""
+    largest_noise_sigma: NotNegative = 0.0
+    """Each image has its own noise between noise_sigma and this, evenly in the logarithm; 0: noise_sigma."""
     camera: CameraSettings | None = None
     """Measure every image with a camera."""
     paper: PaperChanges | None = None
     """The paper's changes."""
+
+    def __post_init__(self) -> None:
+        least, most = self.noise_sigma, self.largest_noise_sigma
+        if most and not 0 < least <= most:
+            raise ValueError(
+                f"augmentation.largest_noise_sigma is the upper end of a range that begins with noise_sigma "
+                f"above 0: got {least:g} to {most:g}"
+            )

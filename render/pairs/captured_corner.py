@@ -3,8 +3,9 @@
 The phases show the plane of the wall in the camera's axes: its distance and two angles. They do not show
 where along the wall the camera stands, nor how it is turned about the wall's normal. So the wall has the pose
 of the preset ``paper``, where it is plumb; the rows of the image are horizontal, or rolled by a known angle;
-and the middle of the image shows the point of the wall that it shows in that preset. Middle wall and hidden
-region are those of that preset, too.
+and middle wall and hidden region are those of that preset. The image of an empty wall does not show the
+middle wall: the camera stands where its image ends beside the edge of that wall, as in that preset, and its
+middle shows the same height of the relay wall.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from itof.wall.expected_wall import distance_m
 from itof.wall.finding import length
 from itof.wall.wall_fit import RobustFit
 from scenegen import Preset, preset_from_dict
-from scenegen.corner_geometry import corners_of, distances_m
+from scenegen.corner_geometry import Frustum, corners_of, distances_m
 from scenegen.pose import camera_axes
 from scenegen.sampling import walls_of
 
@@ -40,6 +41,8 @@ _LARGEST_STD_M: Final = 0.1  # of the distance; it hardly matters: itof.wall.emp
 _MOST_TURN_DEG: Final = 80.0  # from straight towards the wall; beyond, the middle of the image shows none
 _OTHER_PLANE: Final = ("wall-range", "not-flat")  # warnings that say that the plane may be another
 _STEP_M: Final = 1e-5  # of differences of the plane, whose phases are smooth
+_MOST_SIDEWAYS: Final = 4.0  # of rays, per metre; beyond, they go along the wall
+_LEAST_ASIDE_M: Final = 0.1  # of the camera, from the plane of the middle wall
 _BEHIND_CAMERA_M: Final = 1.0  # how far the middle wall reaches beyond the camera, at least
 
 
@@ -85,11 +88,11 @@ class CapturedCorner:
             f"{abs(up_deg):.2f} ± {std[2]:.2f} {'down' if up_deg < 0 else 'up'}"
         )
         seen = f"the wall is {length(away_m)} ± {length(std[0])} away, and the camera is turned {to}"
-        assumed = "the middle wall, the hidden region and the camera's place along the wall are the paper's"
+        assumed = f"middle wall and hidden region are the paper's, to the {self.hidden}"
         return (
             f"seen: {seen} from straight towards it",
             "assumed: the wall is plumb, and the rows of the image are horizontal but for --roll",
-            f"assumed: {assumed}, with the region to the {self.hidden}",
+            f"assumed: {assumed}; the image ends beside the middle wall, which --aside changes",
         )
 
     @property
@@ -178,9 +181,8 @@ def captured_corner(
     side: Side = hidden or ("left" if place[1] < 0 else "right")
     height, width = images.phasors.shape[1:3]
     axes = _camera_axes(fit.plane_per_m, roll_deg)
-    tables = _corner(axes[2], float(place[0]), side, gap_m, aside_m)
-    seen = {"width": width, "height": height, "horizontal_fov_deg": float(images.fov_deg)}
-    tables["camera"] |= {**seen, "rotation_deg": _rotation_deg(axes)}
+    view = Frustum((0.0, 0.0, 0.0), _rotation_deg(axes), images.fov_deg, width, height)
+    tables = _corner(view, axes[2], float(place[0]), side, gap_m, aside_m)
     tables["itof"] = {"frequencies_hz": sorted(images.frequencies_hz)}
     preset = preset_from_dict(tables, source)
     std = _vector(_std_of_place(fit, roll_deg))
@@ -265,39 +267,54 @@ def _std_of_place(fit: RobustFit, roll_deg: float) -> Floats:
     return std
 
 
-def _rotation_deg(axes: Floats) -> list[float]:
+def _rotation_deg(axes: Floats) -> Vector:
     """Euler angles of a Blender camera, which looks along its own -z."""
     right, down, forward = axes
     turn = Rotation.from_matrix(np.column_stack([right, -down, -forward]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # rolled by 90 degrees: one of the angles is free
-        return _rounded(turn.as_euler("xyz", degrees=True), 3)
+        x, y, z = _rounded(turn.as_euler("xyz", degrees=True), 3)
+    return (x, y, z)
 
 
 def _corner(
-    forward: Floats, away_m: float, side: Side, gap_m: float | None, aside_m: float | None
+    view: Frustum, forward: Floats, away_m: float, side: Side, gap_m: float | None, aside_m: float | None
 ) -> dict[str, dict[str, Any]]:
-    """Tables of a preset: the paper's corner, mirrored for the left side, with the camera's place."""
+    """Tables of a preset: the paper's corner, mirrored for the left side, with the camera `away_m` off."""
     paper, sign = Preset(), 1 if side == "right" else -1
     relay, middle = walls_of(paper)
     eye, ahead = np.array(paper.camera.location_m), camera_axes(paper.camera)[2]
-    shown = (eye - ahead * eye[0] / ahead[0]) * [1, sign, 1]  # in the middle of the image; x = 0
-    place = shown + forward * away_m / forward[0]
-    if aside_m is not None:
-        place[1] = -sign * aside_m
-    if gap_m is None:
-        gap_m = float(distances_m(relay, corners_of(middle)).min())
-    long_m = max(middle.size_m[0], away_m + _BEHIND_CAMERA_M - gap_m)
+    own_gap_m = float(distances_m(relay, corners_of(middle)).min())
+    gap_m = own_gap_m if gap_m is None else gap_m
+    if aside_m is None:  # the outermost ray passes the edge of the middle wall at the same distance
+        beside_m = own_gap_m - eye[0] + abs(eye[1]) / _sideways(Frustum.of_camera(paper.camera), 1)
+        aside_m = max((away_m - gap_m + beside_m) * _sideways(view, sign), _LEAST_ASIDE_M)
+    height_m = eye[2] - ahead[2] * eye[0] / ahead[0]  # in the middle of the image, on the wall at x = 0
+    place = [away_m, -sign * aside_m, height_m + forward[2] * away_m / forward[0]]
+    long_m = round(max(middle.size_m[0], away_m + _BEHIND_CAMERA_M - gap_m), 2)
     region = asdict(paper.hidden_object.location_m)
     return {
-        "camera": {"location_m": _rounded(place, 4)},
+        "camera": {
+            "location_m": _rounded(place, 4),
+            "rotation_deg": view.rotation_deg,
+            "horizontal_fov_deg": view.horizontal_fov_deg,
+            "width": view.width,
+            "height": view.height,
+        },
         "middle_wall": {
-            "size_m": _rounded([long_m, middle.size_m[1]], 2),
-            "location_m": _rounded([gap_m + round(long_m, 2) / 2, *middle.location_m[1:]], 4),
+            "size_m": [long_m, middle.size_m[1]],
+            "location_m": _rounded([gap_m + long_m / 2, *middle.location_m[1:]], 4),
             "rotation_deg": _rounded([sign * middle.rotation_deg[0], *middle.rotation_deg[1:]], 3),
         },
         "hidden_object": {"location_m": region | {"y": sorted(sign * end for end in region["y"])}},
     }
+
+
+def _sideways(view: Frustum, sign: int) -> float:
+    """How far rays of an image go to +y or -y for each metre on their way to the wall at x = 0, at most."""
+    rays = view.corner_rays()
+    towards = rays[rays[:, 0] < 0]
+    return float(np.clip((sign * towards[:, 1] / -towards[:, 0]).max(), 0, _MOST_SIDEWAYS))
 
 
 def _vector(values: Floats) -> Vector:

@@ -169,6 +169,20 @@ def test_sensor_noise_has_its_deviation_on_every_component_and_is_each_images_ow
     assert torch.equal(alone[0], (phasor + noise)[7])
 
 
+def test_the_noise_of_images_is_spread_evenly_in_the_logarithm_between_two_bounds():
+    rows, _, _, _ = measured_rows(200)
+    draws, least, most = draws_of(200), 1e-4, 1e-2
+    noise = Augmentation(noise_sigma=least, largest_noise_sigma=most).measured(rows.phasors, draws)
+    relative = torch.view_as_real((noise - rows.phasors) / rows.phasors[..., :1].abs())
+    each = relative.flatten(1).std(dim=1) / least  # (N,)
+    share = each.log10() / 2  # of the range
+    # A deviation of 240 values has a relative error of 4.6 %, which is 0.01 of the range; 4.5 of those.
+    assert -0.045 < share.min() < share.max() < 1.045
+    # 200 values that are even in 0 to 1: mean and standard deviation to 4.5 standard errors.
+    assert abs(float(share.mean()) - 0.5) < 4.5 * 12**-0.5 / 200**0.5
+    assert abs(float(share.std()) - 12**-0.5) < 4.5 * 12**-0.5 / 200**0.5
+
+
 def test_another_exposure_changes_the_amplitude_channel_alone():
     rows, maker, _, _ = measured_rows()
     draws = draws_of(5)

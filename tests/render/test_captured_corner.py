@@ -16,8 +16,9 @@ from itof.sensor.scene_camera import SceneCamera
 from itof.wall.expected_wall import angle_deg, distance_m
 from itof.wall.wall_view import WallView
 from render import captured_corner
-from render.products.corner_figure import corner_facts
+from render.products.corner_facts import corner_facts
 from scenegen import load_preset, open_dataset, sample_scene
+from scenegen.corner_check import refuse_impossible_corner
 from scenegen.corner_geometry import distances_m
 from scenegen.pose import camera_axes, wall_geometry
 from scenegen.sampling import walls_of
@@ -125,6 +126,27 @@ def test_a_mirrored_capture_gives_the_mirrored_corner(tmp_path):
         assert value == pytest.approx(others[name], rel=0.01), name
 
 
+def test_the_paper_s_camera_is_put_where_the_paper_has_it(tmp_path):
+    view = looking(40, 0)
+    camera = captured_corner(measured(tmp_path, view, returned(view))).preset.camera
+    paper = load_preset("paper").camera
+    assert camera.location_m == pytest.approx(paper.location_m, abs=1e-3)
+    assert camera.rotation_deg == pytest.approx(paper.rotation_deg, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("right_deg", "up_deg", "away_m", "hidden"),
+    [(0, 0, 1.0, "right"), (20, -10, 2.5, "right"), (35, 5, 0.9, "left"), (-30, 15, 1.8, "left")],
+)
+def test_the_image_of_an_empty_wall_shows_no_middle_wall(tmp_path, right_deg, up_deg, away_m, hidden):
+    view = looking(right_deg, up_deg, away_m=away_m)
+    preset = captured_corner(measured(tmp_path, view, returned(view)), hidden=hidden).preset
+    refuse_impossible_corner(preset)
+    facts = corner_facts(preset)
+    assert (facts.middle_wall, facts.gap_m) == (0, pytest.approx(0.7))
+    assert facts.camera_m == pytest.approx(away_m, abs=1e-3)
+
+
 def test_measures_of_the_user_take_the_place_of_those_of_the_paper(tmp_path):
     view = looking(30, 0, away_m=3.5)
     file = measured(tmp_path, view, returned(view))
@@ -208,10 +230,10 @@ def test_what_shows_no_wall_gives_no_preset(tmp_path, options):
 def test_a_corner_that_cannot_be_as_assumed_is_written_and_then_refused(tmp_path):
     view, out = looking(40, 0), tmp_path / "my.toml"
     file = measured(tmp_path, view, returned(view))
-    done = night_here("night-eval", "capture", "corner", file, "--out", out, "--hidden", "left")
+    done = night_here("night-eval", "capture", "corner", file, "--out", out, "--gap", "1.5")
     assert done.returncode == 2
     assert "my.toml needs measures of your corner" in done.stderr
-    assert load_preset(out).hidden_object.location_m.y == (-1.3, -0.5)
+    assert corner_facts(load_preset(out)).gap_m == pytest.approx(1.5)
 
 
 def test_numbers_beyond_those_of_a_preset_are_refused_by_name(tmp_path):

@@ -5,8 +5,12 @@ import json
 import numpy as np
 import pytest
 from night_commands import night_here, refusal
+from report_pages import Page, browse, needs_chromium
 
-from render.products.corner_figure import corner_facts
+from render.batch.expected_light import ExpectedLight, expected_light
+from render.batch.light import LightImages
+from render.products.corner_facts import corner_facts
+from render.products.corner_page import write_corner_page
 from scenegen import load_preset, preset_from_dict
 
 
@@ -51,13 +55,72 @@ def test_the_command_draws_a_corner_and_refuses_one_that_cannot_be_after_that(tm
     monkeypatch.chdir(tmp_path)
     done = night_here("night-gen", "corner", "paper", "--json")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["gap_m"] == pytest.approx(0.7)
+    told = json.loads(done.stdout)
+    assert told["gap_m"] == pytest.approx(0.7)
+    assert len(told["hidden_light"]["shares"]) == 12
+    assert "hidden light: 0.1" in done.stderr
+    assert {file.name for file in tmp_path.iterdir()} == {"paper_corner.png", "paper_corner.html"}
     assert "of the image, 100 % show the relay wall, 0 % the middle wall, 0 % nothing" in done.stderr
     (tmp_path / "closed.toml").write_text("[middle_wall]\nlocation_m = [1.6, 0.0, 2.0]\n")
     refused = night_here("night-gen", "corner", "closed.toml", "--out", "picture.png")
     assert refused.returncode == 2
     assert "the middle wall reaches 0.05 m behind the plane of the relay wall" in refused.stdout
     assert "the middle wall crosses the relay wall" in refused.stderr
-    assert "is a .png file" in refusal("night-gen", "corner", "paper", "--out", "closed.toml")
+    assert "must end in .png or .html" in refusal("night-gen", "corner", "paper", "--out", "closed.toml")
     pictures = {file.name for file in tmp_path.iterdir() if file.read_bytes().startswith(b"\x89PNG")}
     assert pictures == {"paper_corner.png", "picture.png"}
+
+
+def test_the_picture_may_be_a_page_that_loads_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = night_here("night-gen", "corner", "paper", "--out", "corner.html")
+    assert done.returncode == 0, done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["corner.html"]
+    page = Page((tmp_path / "corner.html").read_text())
+    assert page.references == ["data:,"]
+    assert page.policy.startswith("default-src 'none'")
+    facts = corner_facts(load_preset("paper"))
+    assert page.data["corner-data"]["facts"] == list(facts.sentences)
+    gap, *_ = (each for each in page.data["corner-data"]["distances"] if "gap" in each["words"])
+    assert np.linalg.norm(np.subtract(*gap["ends"])) == pytest.approx(facts.gap_m, abs=1e-4)
+    lit = next(part for part in page.data["corner-data"]["parts"] if part["name"] == "seen and lit")
+    assert np.ptp(lit["points"], axis=0)[1] == pytest.approx(facts.lit_m[1], rel=0.02)
+
+
+@needs_chromium
+def test_a_browser_draws_the_page_without_an_error(tmp_path):
+    file, preset = tmp_path / "corner.html", load_preset("paper")
+    facts = corner_facts(preset)
+    write_corner_page(preset, facts, file)
+    parts = Page(file.read_text()).data["corner-data"]["parts"]
+    document, console = browse(file, tmp_path)
+    assert console == []
+    assert [document.count(tag) for tag in ("<li>", "<label>")] == [len(facts.sentences), len(parts)]
+    assert f'data-drawn="{sum(len(part["faces"]) for part in parts)}"' in document
+
+
+def test_the_share_and_the_turn_of_hidden_light_have_closed_forms():
+    """Of light h beside 1, the part in quadrature turns the phase."""
+    hz, shape = (20e6, 50e6), (3, 4, 5, 2)
+    hidden = np.full(shape, 0.003 + 0.004j, np.complex64)
+    hidden[..., 0] = 0.002  # in phase at 20 MHz
+    direct = np.ones(shape, np.complex64)
+    direct[2] = 0  # this camera sees no wall
+    found = ExpectedLight.of_images(LightImages(direct, hidden, np.zeros(shape[:3]), np.zeros(3)), hz)
+    assert found.shares == pytest.approx((0.005, 0.005))
+    assert found.turns_rad == pytest.approx((0, np.arctan2(0.004, 1.003)), abs=1e-6)
+    assert "0.5 % of the direct light, 0.5 to 0.5 in 2 drawn scenes" in found.sentence
+
+
+def test_the_hidden_light_to_expect_is_that_of_the_scenes(paper):
+    """The docs have 0.02 to 0.44 % for its shapes; three bounces return a tenth of it from darker objects."""
+    found = expected_light(paper, device="cpu")
+    assert len(found.shares) == 12
+    assert 2e-4 < min(found.shares) <= max(found.shares) < 4.4e-3
+    dark = expected_light(preset_from_dict({"hidden_object": {"reflectance": 0.1}}, "test"), device="cpu")
+    np.testing.assert_allclose(np.array(found.shares) / dark.shares, 10, rtol=1e-3)
+
+
+def test_where_the_engine_cannot_render_the_light_is_not_guessed():
+    elsewhere = {"projector": {"location_m": [1.0, -1.1, 1.65]}}
+    assert expected_light(preset_from_dict(elsewhere, "test"), device="cpu") is None

@@ -1,6 +1,7 @@
 """Settings of a run: those of before where none are given, refused where they do not fit, kept on record."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -61,7 +62,7 @@ def test_transients_can_be_dropped_and_a_larger_product_adds_them_again(
 ):
     done = night_here("night-render", "drop-transients", rendered_copy, "--yes")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith("B freed\n")
+    assert re.fullmatch(r"[\d.]+ MB freed: the transients of 7 scenes are deleted\n", done.stdout)
     assert not list(rendered_copy.glob("renders/*/*transient.exr"))
     assert "7 good, 0 bad" in night_here("night-render", "verify", rendered_copy).stdout
     assert render_here(rendered_copy).stdout.startswith("0 scenes rendered, 7 were there")

@@ -1,0 +1,95 @@
+"""Distances in the corner of a preset, and what its camera sees, without any scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from scenegen import Preset
+from scenegen.corner_geometry import Frustum, Points, corners_of, distances_m, lit_points, local
+from scenegen.depth_range import NO_MESHES, largest_mirrored_depth_m, largest_radius_m
+from scenegen.sampling import projector_of, walls_of
+from scenegen.shapes import Shape
+from scenegen.unit_meshes import UnitMesh
+
+
+@dataclass(frozen=True)
+class CornerFacts:
+    """Distances in a corner, and what its camera sees; of the camera in the middle, if there are many.
+
+    Attributes
+    ----------
+    camera_m, gap_m : distance of camera, and of the nearest edge of the middle wall, from the relay wall.
+    region_m : smallest and largest distance of hidden objects' centres from the relay wall.
+    radius_m : largest distance of a point of an object from its centre.
+    farthest_m : largest distance of an object's mirror image from the camera.
+    relay_wall, middle_wall, nothing : shares of the image.
+    lit_m : extents of the part of the relay wall that is seen and lit: along its own x and y; 0 if none is.
+    """
+
+    camera_m: float
+    gap_m: float
+    region_m: tuple[float, float]
+    radius_m: float
+    farthest_m: float
+    relay_wall: float
+    middle_wall: float
+    nothing: float
+    lit_m: tuple[float, float]
+
+    def as_data(self) -> dict[str, Any]:
+        """The facts as plain data."""
+        return asdict(self)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The facts as text."""
+        shares = (f"{100 * part:.0f} %" for part in (self.relay_wall, self.middle_wall, self.nothing))
+        gap = f"the gap between the walls is {self.gap_m:.2f} m wide"
+        if self.gap_m < 0.005:
+            gap = f"the middle wall reaches {max(-self.gap_m, 0):.2f} m behind the plane of the relay wall"
+        return (
+            "of the image, {} show the relay wall, {} the middle wall, {} nothing".format(*shares),
+            f"the camera is {self.camera_m:z.2f} m from the relay wall",
+            "{:.2f} x {:.2f} m of the relay wall are seen and lit".format(*self.lit_m),
+            gap,
+            "the centres of hidden objects are {:.2f} to {:.2f} m from the relay wall".format(*self.region_m),
+            f"the objects reach up to {self.radius_m:.2f} m from their centres",
+            f"their mirror images are at most {self.farthest_m:.2f} m from the camera",
+        )
+
+
+def corner_facts(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> CornerFacts:
+    """Measure the corner of a preset, also one that cannot be."""
+    relay, middle = walls_of(preset)
+    camera = preset.camera
+    view = Frustum.of_camera(camera)
+    rays = view.rays()
+    depths = np.stack([view.hits(relay, rays), view.hits(middle, rays)])  # (2, N)
+    first, sees = depths.argmin(axis=0), np.isfinite(depths).any(axis=0)
+    shares = [float((sees & (first == wall)).mean()) for wall in (0, 1)]
+    lit = lit_points(camera, projector_of(preset, camera), relay, middle)
+    x_m, y_m = np.ptp(local(relay, lit)[:, :2], axis=0) if len(lit) else (0.0, 0.0)
+    region = distances_m(relay, region_box(preset))
+    return CornerFacts(
+        camera_m=float(distances_m(relay, np.array([camera.location_m]))[0]),
+        gap_m=float(distances_m(relay, corners_of(middle)).min()),
+        region_m=(float(region.min()), float(region.max())),
+        radius_m=largest_radius_m(preset, meshes),
+        farthest_m=largest_mirrored_depth_m(preset, meshes),
+        relay_wall=shares[0],
+        middle_wall=shares[1],
+        nothing=float(1 - sees.mean()),
+        lit_m=(float(x_m), float(y_m)),
+    )
+
+
+def region_box(preset: Preset, margin_m: float = 0.0) -> Points:
+    """(8, 3) corners of the region of hidden objects' centres, wider by a margin."""
+    place = preset.hidden_object.location_m
+    sides = ((low - margin_m, high + margin_m) for low, high in (place.x, place.y, place.z))
+    return np.array(list(product(*sides)))
