@@ -1,6 +1,6 @@
-"""Ground truth by a mirror: pairs of real captures become a dataset that trains and judges networks.
+"""What a camera has captured as data of scenes: presets of real corners, and datasets of real pairs.
 
-A measurement of the corner is followed by a capture of a mirror that hangs on the relay wall. `truth` makes a
-depth map of the second, `pairs` writes datasets. Needs no Mitsuba; may
-import `scenegen` and `itof`.
+`captured_corner` makes a preset of a capture of the empty corner. For a pair, a capture of the corner is
+followed by one of a mirror that hangs on the relay wall: `truth` makes a depth map of it, `pairs` writes
+datasets. Needs no Mitsuba; may import `scenegen` and `itof`.
 """
