@@ -43,7 +43,6 @@ from processes.progress import showing_progress
 # 5 no uncertainty of the wall, no `light`; 6 no `hideable` light; 7 no `explanation`; 8 one solid; 9 one
 # field of view for all images, and errors that were expected in spite of findings.
 PREDICTION_SCHEMA: Final = 10
-_KNOWN_SCHEMAS: Final = tuple(range(1, PREDICTION_SCHEMA + 1))  # of earlier predictions, which are replaced
 RECORD: Final = "prediction.json"
 
 
@@ -256,15 +255,12 @@ def _refuse_other_contents(out: Path) -> None:
 
 
 def files_of_prediction(folder: Path) -> dict[str, str | None]:
-    """Files of an earlier prediction, with SHA-256 where it is known; empty if there is no prediction."""
+    """Files of an earlier prediction, with SHA-256; empty if there is no prediction."""
     try:
         content = json.loads(read_plain(folder / RECORD, MOST_LIST_BYTES))
-        if content["schema_version"] not in _KNOWN_SCHEMAS:
+        if content["schema_version"] != PREDICTION_SCHEMA:
             return {}
-        known: dict[str, str | None] = {
-            str(name): None for image in content["images"] for name in image["files"]
-        }
-        known |= {str(name): str(sha256) for name, sha256 in content.get("files", {}).items()}
+        known = {str(name): str(sha256) for name, sha256 in content["files"].items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
     return {**known, RECORD: None}

@@ -129,7 +129,7 @@ def test_the_wall_of_each_scene_is_found_along_the_rays_of_its_own_camera(views)
     channels = maker.batch(maker.upload(block)).channels.numpy()
     found = channels[:, 5] * spread + mean
     truth = np.stack([inverse_distance_per_m(views.scene(i), 14, 24) for i in views.ids()])
-    np.testing.assert_allclose(found, truth, atol=5e-3)  # as in tests/model/test_many_corners.py
+    np.testing.assert_allclose(found, truth, atol=5e-3)  # as in tests/model/data/test_many_corners.py
     one_view = replace(maker, walls=None)
     wrong = one_view.batch(one_view.upload(block)).channels.numpy()
     # Rays that are wrong by up to four degrees bend a plane by centimetres: tens of times the hidden light.

@@ -17,7 +17,7 @@ from itof.metrics import image_metrics, summarise
 from model.data.shards import open_shards
 from model.prediction.predictor import load
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -11,7 +11,8 @@ from synthetic_dataset import write_synthetic_dataset
 from training_runs import FLIP, settings
 
 from model.judging.groups import group_tables
-from model.network.mask_and_depth import MaskAndDepth, MaskAndDepthLoss
+from model.network.loss import MaskAndDepthLoss
+from model.network.mask_and_depth import MaskAndDepth
 from model.refinement.family import family_of
 from model.settings.fresh import FreshScenes
 from model.training.fresh.workers import Rendering

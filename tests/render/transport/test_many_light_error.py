@@ -174,7 +174,7 @@ def test_a_wanted_error_is_met_without_more_lights_than_it_needs(
 
 @pytest.mark.long
 def test_the_reported_error_of_all_light_holds_in_random_corners(tmp_path):
-    benchmark, found = Path(__file__).parents[2] / "benchmarks/error_coverage.py", tmp_path / "rows"
+    benchmark, found = Path(__file__).parents[3] / "benchmarks/error_coverage.py", tmp_path / "rows"
     options = ["--pairs", "12", "--corners", "--size", "24x18", "--pixels", "100", "--error", "0.03"]
     subprocess.run([sys.executable, benchmark, *options, "--out", found], check=False, capture_output=True)
     rows = [json.loads(line) for line in found.read_text().splitlines()]

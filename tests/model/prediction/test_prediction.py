@@ -163,21 +163,6 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
         predict(seeing_run, exr, tmp_path / "file")
 
 
-def test_a_prediction_of_version_0_1_is_replaced_by_its_names(seeing_run, exr, tmp_path):
-    out = tmp_path / "out"
-    predict(seeing_run, exr, out)
-    after = contents(out)
-    record = json.loads((out / "prediction.json").read_text())
-    del record["files"]
-    (out / "prediction.json").write_text(json.dumps(record))
-    (out / "notes.txt").write_text("mine")
-    with pytest.raises(PredictionError, match=r"an earlier prediction: notes\.txt; move"):
-        predict(seeing_run, exr, out)
-    (out / "notes.txt").unlink()
-    predict(seeing_run, exr, out)
-    assert contents(out) == after
-
-
 def test_an_interrupted_prediction_leaves_the_earlier_one_as_it_was(
     seeing_run, exr, phasors, tmp_path, monkeypatch
 ):

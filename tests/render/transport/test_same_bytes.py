@@ -4,7 +4,7 @@
 their renders. Bytes of renders are not recorded: their kernels are compiled for the processor at hand, and
 each kind of processor rounds in its own way. A change that is meant to change these files makes them again:
 
-    python tests/render/test_same_bytes.py
+    python tests/render/transport/test_same_bytes.py
 """
 
 import json
@@ -27,7 +27,7 @@ from render.rendering import Renderer
 from render.settings import RenderSettings
 from scenegen import open_dataset
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 HASHES, REFERENCE = GOLDEN / "scenes.json", GOLDEN / "reference.npz"
 ONE_SCENE = PRESET.replace("count = 7", "count = 1")
 PATHS = ["--method", "path", "--spp", "16", "--device", "cpu"]

@@ -14,7 +14,7 @@ from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.run_folder.shipped import run_folder
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 MOST_BYTES = 40e6  # of all of them
 RUNS = model.shipped_runs()
 # Scenes that a network is for, and what 16 of them must give. Its card says more; single scenes scatter by

@@ -136,7 +136,7 @@ for number in itertools.count():
 
 @pytest.mark.thorough
 def test_a_kill_leaves_no_record_without_its_files_and_the_next_call_goes_on(seven_renders, tmp_path):
-    tests = Path(__file__).parents[1] / "support"
+    tests = Path(__file__).parents[2] / "support"
     subprocess.run([sys.executable, "-c", CAMPAIGN, seven_renders, tmp_path], check=True, cwd=tests)
     copies = sorted(tmp_path.iterdir(), key=lambda copy: int(copy.name))
     whole = results(copies.pop())  # of the one that was not killed

@@ -25,7 +25,7 @@ from render.farm.dask_settings import ClusterError, dask_settings
 from render.farm.queue import QueueError, RenderQueue
 from render.farm.submissions import Submissions
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SBATCH = """#!/bin/sh
 cp "$1" "$JOBS/script.$$"
 setsid sh -c 'exec bash "$0" >/dev/null 2>&1' "$JOBS/script.$$" &

@@ -16,7 +16,7 @@ from model.settings.keys import merged, tables
 from model.settings.presets import training_preset
 from model.settings.train_settings import TrainSettings, flat_settings, plain_settings, settings_from_dict
 
-PRESETS = Path(__file__).parents[2] / "data" / "training"
+PRESETS = Path(__file__).parents[3] / "data" / "training"
 
 
 def test_settings_refuse_what_makes_no_sense():
