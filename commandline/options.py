@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import click
 
@@ -62,6 +62,20 @@ class Megahertz(click.ParamType):
         if not all(0 < frequency_hz < math.inf for frequency_hz in frequencies_hz):
             self.fail(f"{value!r}: a frequency is a number of MHz above 0", param, ctx)
         return tuple(frequencies_hz)
+
+
+class Duration(click.ParamType):
+    """``90s``, ``30min`` or ``2h``: a time, as seconds."""
+
+    name = "TIME"
+    _SECONDS: ClassVar = {"s": 1, "min": 60, "h": 3600}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Seconds; 0 is no time."""
+        match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)(s|min|h)", value)
+        if match is None or not float(match[1]):
+            self.fail(f"{value!r} is no time; write it like 90s, 30min or 2h", param, ctx)
+        return float(match[1]) * self._SECONDS[match[2]]
 
 
 class Size(click.ParamType):

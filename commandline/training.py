@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from commandline.endings import NightCommand
-from commandline.options import FOLDER, option
+from commandline.networks_of_presets import BUDGET_S, make_network
+from commandline.options import FOLDER, Duration, option
 from commandline.results import JSON, tell
 from commandline.training_options import SET, TRAINING, given_settings
 from disk import PresetError, read_settings
+from model.settings.fine_tuning import fine_tuning_course
 from model.settings.keys import merged
 from scenegen import Preset, open_dataset, preset_from_dict
 
@@ -21,9 +25,11 @@ if TYPE_CHECKING:
     from scenegen.making.meshes import UserMesh
     from scenegen.shapes import Shape
 
+_OF_A_NETWORK: Final = ("input", "network", "target")  # settings that a network to start from decides
+
 
 @click.command(cls=NightCommand)
-@click.argument("dataset", type=FOLDER)
+@click.argument("dataset", type=FOLDER, required=False)
 @click.option("--out", required=True, type=FOLDER, help="Run folder to write.")
 @click.option("--resume", is_flag=True, help="Go on with the run in --out, by its own settings.")
 @click.option(
@@ -40,20 +46,34 @@ if TYPE_CHECKING:
     help="Train on new scenes of this preset of scenes, rendered meanwhile; DATASET scales the input and "
     "judges.",
 )
+@click.option(
+    "--for",
+    "wanted_for",
+    metavar="PRESET",
+    help="Instead of DATASET: make one in OUT-scenes, train on fresh scenes of this preset, from the nearest "
+    "network that comes with NIGHT, and judge in OUT-report.",
+)
+@click.option(
+    "--budget", "budget_s", type=Duration(), help="With --for: time of the training.  [default: 30min]"
+)
 @JSON
 @option("Settings", "--preset", help="Settings of a name in data/training, or of a .toml file.")
 @SET
 @TRAINING
 def night_train(
-    dataset: Path,
+    dataset: Path | None,
     out: Path,
     resume: bool,
     start_from: Path | None,
     fresh: str | None,
+    wanted_for: str | None,
+    budget_s: float | None,
     as_json: bool,
+    preset: str | None,
+    assignments: tuple[str, ...],
     **options: Any,
 ) -> None:
-    """Train a network on the renders of DATASET.
+    """Train a network on the renders of DATASET, or for the scenes of a preset.
 
     Ctrl-C and SIGTERM leave a checkpoint that --resume goes on from. On several GPUs:
 
@@ -65,18 +85,88 @@ def night_train(
 
     if resume and start_from is not None:
         raise click.UsageError("--from begins a new run, and --resume goes on with one: leave one out")
+    data, origin = model.training_preset(preset) if preset else ({}, "options")
+    chosen = data, origin, given_settings(options, assignments)
+    if wanted_for is not None:
+        _refuse_mixed(dataset, fresh, budget_s, options["run_max_epochs"])
+        _train_for(wanted_for, out, resume, start_from, budget_s, chosen, as_json)
+        return
+    if dataset is None or budget_s is not None:
+        raise click.UsageError("--budget goes with --for" if dataset else "give DATASET, or --for PRESET")
     opened = open_dataset(dataset)
-    settings = _chosen_settings(out, resume, start_from, **options)
-    preset, meshes = _fresh_preset(fresh) if fresh else (None, None)
+    before = model.run_settings(out) if resume else {}
+    inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
+    settings = _settings(before, inherited, *chosen)
+    if start_from is not None and not fresh:
+        settings = _settings(fine_tuning_course(settings, len(opened.ids("train"))), inherited, *chosen)
+    given, meshes, _ = _preset_of_scenes(fresh) if fresh else (None, None, None)
     result = model.train(
-        *(opened, out, settings), resume=resume, start_from=start_from, fresh=preset, meshes=meshes
+        *(opened, out, settings), resume=resume, start_from=start_from, fresh=given, meshes=meshes
     )
     if is_first_process():
         tell([result.sentence(out)], {"run": str(out), **asdict(result)}, as_json)
 
 
-def _fresh_preset(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh]]:
-    """A preset of scenes, and the mesh files that it names."""
+def _refuse_mixed(
+    dataset: Path | None, fresh: str | None, budget_s: float | None, max_epochs: int | None
+) -> None:
+    """Refuse what does not go with --for."""
+    if dataset is not None or fresh is not None:
+        other = "--fresh" if fresh is not None else "DATASET"
+        raise click.UsageError(f"--for makes a dataset and trains on fresh scenes: leave {other} out")
+    if budget_s is not None and max_epochs is not None:
+        raise click.UsageError("--budget and --max-epochs both say how long to train: leave one out")
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise click.UsageError("--for works in one process: for torchrun, give its dataset and --fresh")
+
+
+def _train_for(
+    name: str,
+    out: Path,
+    resume: bool,
+    start_from: Path | None,
+    budget_s: float | None,
+    chosen: tuple[dict[str, Any], str, dict[str, Any]],
+    as_json: bool,
+) -> None:
+    """Train for the scenes of a preset."""
+    import model
+    from model.run_folder.run_config import CONFIG_FILE
+    from model.training.nearest import nearest_network
+
+    preset, meshes, folder = _preset_of_scenes(name)
+    data, _, given = chosen
+    resume = resume and (out / CONFIG_FILE).is_file()  # it may have been interrupted before the training
+    before: dict[str, Any] = {}
+    inherited: dict[str, Any] = {}
+    why = f"the training starts from {start_from}"
+    if resume:
+        before = model.run_settings(out)
+    else:
+        has_sensor = _settings({}, {}, *chosen).augmentation.camera is not None
+        if not preset.is_one_corner:
+            before = {"input": {"channels": {"kind": "residual+wall"}}}
+        if has_sensor:  # the waves of a real one change the phases by more than the hidden light does
+            before |= {"augmentation": {"camera": {"empty_corner": True}}}
+        own = sorted({*_OF_A_NETWORK} & {*data, *given})
+        if start_from is None and own:
+            why = f"the training starts from new weights, because options give {' and '.join(own)}"
+        elif start_from is None:
+            nearest = nearest_network(preset, has_sensor=has_sensor)
+            start_from, why = nearest.run, nearest.why
+            inherited = {"network": {"block": nearest.block}} if start_from else {}
+        if start_from is not None:
+            inherited = merged(model.fine_tuning_settings(start_from), inherited)
+    settings = _settings(before, inherited, *chosen)
+    if budget_s is None and given.get("run", {}).get("max_epochs") is None:
+        budget_s = BUDGET_S
+    make_network(
+        *(name, preset, meshes, folder, out, resume, start_from, budget_s, settings, why, as_json),
+    )
+
+
+def _preset_of_scenes(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh], Path]:
+    """A preset of scenes, the mesh files that it names, and their folder."""
     from scenegen.corner_check import refuse_impossible_corner
     from scenegen.making.meshes import read_meshes
 
@@ -84,28 +174,24 @@ def _fresh_preset(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh]]:
     preset = preset_from_dict(data, origin)
     meshes = read_meshes(preset, Path(origin).parent)
     refuse_impossible_corner(preset, meshes)
-    return preset, meshes
+    return preset, meshes, Path(origin).parent
 
 
-def _chosen_settings(
-    out: Path,
-    resume: bool,
-    start_from: Path | None,
-    preset: str | None,
-    assignments: tuple[str, ...],
-    **options: Any,
+def _settings(
+    before: Mapping[str, Any],
+    inherited: Mapping[str, Any],
+    preset: dict[str, Any],
+    origin: str,
+    given: dict[str, Any],
 ) -> TrainSettings:
-    """The defaults or the settings of the run in `out`, changed by the preset, then by the options.
+    """The defaults or the settings `before`, changed by a preset of settings, then by the options.
 
-    A run that starts from another one has the input, the network, the target and the algorithm of that one,
-    not those of the preset.
+    A run that starts from another one has the input, the network, the target and the algorithm of that one
+    (`inherited`), not those of the preset.
     """
     import model
 
-    before = model.run_settings(out) if resume else {}
-    data, origin = model.training_preset(preset) if preset else ({}, "options")
-    inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
-    without, given = merged(merged(before, data), inherited), given_settings(options, assignments)
+    without = merged(merged(before, preset), inherited)
     try:
         return model.settings_from_dict(merged(without, given), origin)
     except PresetError:

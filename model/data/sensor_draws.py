@@ -15,7 +15,7 @@ from itof.sensor.demodulation import wiggling
 from itof.sensor.random_camera import random_camera
 from itof.sensor.settings import SensorSettings
 from itof.weighted_reference import quotient
-from scenegen import Dataset
+from scenegen import Preset
 
 _SAME_DEG = 1e-6
 _STREAM = 3  # of a seed's random numbers, apart from those of the other augmentations
@@ -79,18 +79,23 @@ class _Drawn:
 
 
 def view_problem(
-    settings: SensorSettings, dataset: Dataset, width: int, height: int, frequencies_hz: Sequence[float]
+    settings: SensorSettings,
+    preset: Preset,
+    source: object,
+    width: int,
+    height: int,
+    frequencies_hz: Sequence[float],
 ) -> str | None:
-    """Why this camera cannot measure the images (W x H) of a dataset at these frequencies, Hz, as a sentence.
+    """Why this camera cannot measure images (W x H) of the scenes of a preset at these frequencies, Hz.
 
-    None if it can.
+    None if it can. `source` names the preset or its dataset in the sentence.
     """
-    if dataset.preset.camera_spread.horizontal_fov_deg:
-        return f"the scenes of {dataset.root} have different fields of view, and a camera has one"
-    fov_deg = dataset.preset.camera.horizontal_fov_deg
+    if preset.camera_spread.horizontal_fov_deg:
+        return f"the scenes of {source} have different fields of view, and a camera has one"
+    fov_deg = preset.camera.horizontal_fov_deg
     if abs(fov_deg - settings.horizontal_fov_deg) > _SAME_DEG:
         return (
-            f"the camera sees {settings.horizontal_fov_deg:g} degrees and the scenes of {dataset.root} are "
+            f"the camera sees {settings.horizontal_fov_deg:g} degrees and the scenes of {source} are "
             f"rendered for {fov_deg:g}: set horizontal_fov_deg of the camera to that"
         )
     try:
@@ -99,5 +104,5 @@ def view_problem(
             for frequency_hz in frequencies_hz:
                 wiggling(settings, frequency_hz)
     except ValueError as error:
-        return f"the camera cannot measure {dataset.root}: {error}"
+        return f"the camera cannot measure {source}: {error}"
     return None

@@ -109,7 +109,8 @@ def judge_exposures(
     for sentence in refuse_other_corner(predictor.config, dataset, shards.ids(rows), run, force=force):
         _log.warning("warning: %s", sentence)
     frequencies_hz = predictor.config.inputs.frequencies_hz
-    problem = view_problem(sensor, dataset, shards.manifest.width, shards.manifest.height, frequencies_hz)
+    size = shards.manifest.width, shards.manifest.height
+    problem = view_problem(sensor, dataset.preset, dataset.root, *size, frequencies_hz)
     if problem:
         raise EvaluationError(problem)
     work = _Work(predictor.at(wall_view(dataset)), dataset, shards, rows)

@@ -28,6 +28,8 @@ class EpochRecord:
 
     Attributes
     ----------
+    epoch : from 1 on. 0 is the network that a training started from, before the first step; it has no loss of
+        training, and `train_loss` is `validation_loss`.
     validation_uncertainty : the part of `validation_loss` that is the likelihood of the expected errors.
     """
 
@@ -125,7 +127,7 @@ def _columns(content: bytes) -> dict[str, list[float]]:
         check = zlib.crc32(digits + _END, check)
         for name, value in zip(names, values.split(b","), strict=True):
             columns[name].append(_finite(value))
-        if columns["epoch"][-1] != number:
+        if columns["epoch"][-1] != number - (columns["epoch"][0] == 0):
             raise ValueError(f"epoch {number} is missing")
     return columns
 

@@ -57,11 +57,11 @@ def checked_tensors(
 
 
 def checked_history(value: Any) -> list[EpochRecord]:
-    """Records of the epochs 1, 2, 3, ..."""
+    """Records of the epochs 1, 2, 3, ..., perhaps after that of the start, 0."""
     if not isinstance(value, list):
         raise ContentsError("history must be a list")
     history = [EpochRecord(**record) for record in value]
-    for epoch, record in enumerate(history, start=1):
+    for epoch, record in enumerate(history, start=0 if history and history[0].epoch == 0 else 1):
         if not record.is_possible or record.epoch != epoch:
             raise ContentsError(f"history: epoch {epoch} has an impossible record")
     return history

@@ -113,6 +113,12 @@ def validate(state: TrainingState, train_loss: float, between_batches: Callable[
     return record
 
 
+def validate_start(state: TrainingState, between_batches: Callable[[], None]) -> EpochRecord:
+    """`validate` the network that the training starts from, as epoch 0."""
+    record = validate(state, 0.0, between_batches)
+    return replace(record, epoch=0, learning_rate=0.0, train_loss=record.validation_loss)
+
+
 def _predicted(state: TrainingState, batch: Batch, output: Tensor, network: UNet) -> Tensor:
     """(N, C, H, W) `output` as a prediction has it: averaged with that of the flipped images if so set."""
     if not state.settings.run.average_flip:

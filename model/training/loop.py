@@ -6,37 +6,29 @@ import functools
 import logging
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 import torch
 
 from disk import PathLike, remove_leftovers
-from disk.checksums import ZEROS
 from disk.counted import counted
-from itof.wall.wall_view import WallPlaceError
-from model.data.channel_scaling import fit_input_spec, largest_shift_m
-from model.data.corner import many_corners_problem, wall_view
-from model.data.object_depth import BalanceError, background_per_object, object_depth_m
-from model.data.shards import Shards, open_shards
-from model.network.channels import ChannelError
+from model.data.shards import open_shards
 from model.run_folder.history import HISTORY_FILE, EpochRecord
 from model.run_folder.run_config import (
     CONFIG_FILE,
-    RunConfig,
     RunError,
     changed_setting,
     read_config,
-    run_id_of,
     write_config,
 )
 from model.settings.fresh import FreshScenes
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE, load_checkpoint, refuse_short_checkpoint
+from model.training.configuring import configure
 from model.training.corner_images import corner_images
-from model.training.epoch import save_if_due, train_epoch, validate
+from model.training.epoch import save_if_due, train_epoch, validate, validate_start
 from model.training.fine_tuning import Start, read_start, refuse_lost_checkpoint
 from model.training.interruption import Interruption
 from model.training.lock import only_training
@@ -44,7 +36,6 @@ from model.training.log import TrainingLog
 from model.training.processes import Processes, joined_processes
 from model.training.refusals import (
     RESUME,
-    TrainingError,
     naming_disk,
     naming_memory,
     output_frequency_hz,
@@ -66,7 +57,10 @@ _AGAIN: Final = "start again"
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """Outcome of a training, which ends after `max_epochs`, or `patience` epochs after the best one."""
+    """Outcome of a training, which ends after `max_epochs`, or `patience` epochs after the best one.
+
+    The best epoch is 0 if the network that the training started from has the smallest loss.
+    """
 
     epochs: int
     best_epoch: int
@@ -75,9 +69,10 @@ class TrainingResult:
 
     def sentence(self, out: PathLike) -> str:
         """The outcome as text; `out` is the run folder."""
+        best = f"best epoch {self.best_epoch}" if self.best_epoch else "no epoch was better than the start"
         return (
-            f"{counted(self.epochs, 'epoch')}, ended by {self.ended_by}; best epoch {self.best_epoch}, with "
-            f"the validation loss {self.best_validation_loss:.4f}; run in {out}"
+            f"{counted(self.epochs, 'epoch')}, ended by {self.ended_by}; {best}, with the validation loss "
+            f"{self.best_validation_loss:.4f}; run in {out}"
         )
 
 
@@ -174,7 +169,7 @@ def _train(
         fresh = before.fresh
     if fresh is not None:
         refuse_other_corner(fresh, dataset, shards, settings, meshes)
-    config = _configure(dataset, shards, settings, before, start, fresh)
+    config = configure(dataset, shards, settings, before, start, fresh)
     change = changed_setting(before, config) if before else None
     if change:
         raise RunError(f"{out} cannot be resumed: {change}; use the run's own settings or start a new run")
@@ -196,7 +191,7 @@ def _train(
             # Before run.json: --resume never needs the other run. Until then, the folder counts as free.
             state.save(out, _AGAIN)
         if processes.is_first:
-            if state.history:
+            if state.candidates:
                 # A killed run may have left the files of a later epoch than that of its checkpoint.
                 state.save_results(out)
             with naming_disk(out / CONFIG_FILE, _AGAIN):
@@ -205,65 +200,6 @@ def _train(
             state.save(out, RESUME)  # before any weights: a run with weights has a checkpoint, or lost it
         with closing(state):
             return _run(state, out)
-
-
-def _configure(
-    dataset: Dataset,
-    shards: Shards,
-    settings: TrainSettings,
-    before: RunConfig | None,
-    start: Start | None,
-    fresh: FreshScenes | None,
-) -> RunConfig:
-    """Contents of ``run.json``; a resumed run keeps its id and its constants, to the bit."""
-    manifest, rows, chosen = shards.manifest, rows_of(shards, "train", settings), settings.input
-    output_hz = before.output_frequency_hz if before else output_frequency_hz(dataset, settings, fresh)
-    try:
-        if before:
-            inputs = before.inputs
-        elif start:
-            inputs = start.inputs(dataset, output_hz)
-            if inputs.shows_wall:
-                if settings.run.progress:
-                    _log.info("fitting the wall of the training scenes")
-                shift_m = largest_shift_m(inputs, shards, rows, wall_view(dataset))
-                inputs = replace(inputs, largest_shift_m=shift_m)
-        else:
-            inputs = fit_input_spec(
-                *(chosen.channels.kind, shards, rows, chosen.frequencies_hz, chosen.amplitude_divisor),
-                reference=chosen.reference,
-                view=wall_view(dataset),
-            )
-        ratio = before.background_per_object if before else None
-        if settings.balances_dataset and ratio is None:
-            ratio = background_per_object(shards, rows)
-        depth_m = before.object_depth_m if before else start.config.object_depth_m if start else None
-        if settings.predicts_probability and depth_m is None:
-            depth_m = object_depth_m(shards, rows)
-    except (BalanceError, ChannelError, WallPlaceError) as error:
-        raise TrainingError(f"{dataset.root}: {error}") from None
-    problem = many_corners_problem(dataset, inputs)
-    if problem:
-        raise TrainingError(problem)
-    views_deg = [*manifest.fields_of_view_deg, *(fresh.fields_of_view_deg if fresh else ())]
-    config = RunConfig(
-        settings=settings,
-        inputs=inputs,
-        output_frequency_hz=output_hz,
-        geometry=wall_view(dataset),
-        image_width=manifest.width,
-        image_height=manifest.height,
-        preset_sha256=manifest.preset_sha256,
-        data_sha256=manifest.data_sha256,
-        night_version=version("night-nlos"),
-        run_id=ZEROS,
-        background_per_object=ratio if settings.balances_dataset else None,
-        object_depth_m=depth_m if settings.predicts_probability else None,
-        started_from=before.started_from if before else start.origin if start else None,
-        fresh=fresh,
-        fields_of_view_deg=(min(views_deg), max(views_deg)) if views_deg else None,
-    )
-    return replace(config, run_id=before.run_id if before else run_id_of(config))
 
 
 def _run(state: TrainingState, out: Path) -> TrainingResult:
@@ -288,6 +224,9 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
     )
     log = TrainingLog(out if is_first else None, done)
     with Interruption() as interruption, shown as bar:
+        if state.config.started_from and not (state.candidates or state.batches_done):
+            state.begin_with(validate_start(state, lambda: save_if_due(state, out, interruption)))
+            state.save(out)  # the start is kept if no epoch is better
         while len(state.history) < max_epochs and not state.out_of_patience():
             bar.set_description(f"epoch {len(state.history) + 1}", refresh=False)
             train_loss = train_epoch(state, out, bar, interruption)

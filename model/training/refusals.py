@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
@@ -21,7 +21,7 @@ from model.settings.target import ComponentsTarget
 from model.settings.train_settings import TrainSettings
 from model.training.checkpoint import CHECKPOINT_FILE
 from model.training.lock import LOCK_FILE
-from scenegen import Dataset, Preset
+from scenegen import Dataset, Preset, sample_scene
 from scenegen.depth_range import largest_mirrored_depth_m, turns_of_first_phase
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh
@@ -43,6 +43,17 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
     RunError : `out` contains other files, or a run and `resume` is False, or no run and `resume` is True.
     TrainingError : there are no training or no validation scenes.
     """
+    refuse_other_run(out, resume)
+    for split in ("train", "validation"):
+        if not dataset.ids(split):
+            raise TrainingError(
+                f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
+                "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
+            )
+
+
+def refuse_other_run(out: Path, resume: bool) -> None:
+    """Refuse an unsuitable `out`, as `refuse_start`."""
     if resume:
         read_config(out)
     elif out.exists() and not _is_free(out):
@@ -51,12 +62,6 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
         if (out / CONFIG_FILE).is_file():
             raise RunError(f"{out} exists already: resume it (--resume) or choose another folder")
         raise RunError(f"{out} is not empty and holds no run: choose another folder")
-    for split in ("train", "validation"):
-        if not dataset.ids(split):
-            raise TrainingError(
-                f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
-                "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
-            )
 
 
 def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> None:
@@ -78,17 +83,22 @@ def output_frequency_hz(dataset: Dataset, settings: TrainSettings, fresh: FreshS
     TrainingError : then, if the target is the phasor at the first frequency itself.
     """
     presets = [dataset.preset, *([fresh.preset] if fresh else [])]
-    first_hz, turns = dataset.preset.itof.frequencies_hz[0], max(map(turns_of_first_phase, presets))
-    if turns == 1:
-        return first_hz
-    if isinstance(settings.target, ComponentsTarget):
+    first_hz = dataset.preset.itof.frequencies_hz[0]
+    output_hz = represented_frequency_hz(first_hz, presets)
+    if output_hz < first_hz and isinstance(settings.target, ComponentsTarget):
         raise TrainingError(
             f"target.kind components is the phasor at the first frequency of {dataset.root}, "
             f"{megahertz(first_hz)}, whose phase represents depths below "
             f"{float(unambiguous_range_m(first_hz)):.4g} m, and mirrored hidden objects can be up to "
             f"{max(map(largest_mirrored_depth_m, presets)):.4g} m from the camera: take mask+depth or depth"
         )
-    return float(first_hz // turns)
+    return output_hz
+
+
+def represented_frequency_hz(first_hz: float, presets: Sequence[Preset]) -> float:
+    """The first frequency, Hz, or a whole part of it: its phase turns once over the depths of the scenes."""
+    turns = max(map(turns_of_first_phase, presets))
+    return first_hz if turns == 1 else float(first_hz // turns)
 
 
 def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings) -> None:
@@ -97,9 +107,28 @@ def refuse_other_view(shards: Shards, dataset: Dataset, settings: TrainSettings)
     if camera is not None:
         found = shards.manifest
         frequencies_hz = settings.input.frequencies_hz or found.frequencies_hz
-        problem = view_problem(camera.sensor, dataset, found.width, found.height, frequencies_hz)
+        size = found.width, found.height
+        problem = view_problem(camera.sensor, dataset.preset, dataset.root, *size, frequencies_hz)
         if problem:
             raise TrainingError(problem)
+
+
+def refuse_preset(
+    fresh: FreshScenes, source: object, settings: TrainSettings, meshes: Mapping[Shape, UnitMesh]
+) -> None:
+    """`TrainingError` if no network can be trained on fresh scenes of a preset, before there is a dataset."""
+    preset, problem = fresh.preset, _fresh_problem(fresh, settings, meshes)
+    camera, lens = settings.augmentation.camera, preset.camera
+    if problem is None and not sample_scene(preset, 0).has_flash:
+        problem = f"{source} has a projector of its own: networks know only a flash at the camera"
+    if problem is None and settings.input.bounce_images and not preset.is_one_corner:
+        problem = f"{source} is of many corners (camera_spread): take --channels residual+wall"
+    if problem is None and camera is not None:
+        frequencies_hz = settings.input.frequencies_hz or preset.itof.frequencies_hz
+        size = lens.width, lens.height
+        problem = view_problem(camera.sensor, preset, source, *size, frequencies_hz)
+    if problem:
+        raise TrainingError(problem)
 
 
 def refuse_other_corner(

@@ -56,6 +56,8 @@ class TrainingState:
     step, optimisation : network and optimiser.
     enlarged : the samples of an epoch, if the training set is enlarged once; else None.
     maker, feeds : make the batches of the training and validation scenes.
+    start : record of the network that the training started from, as epoch 0; None from random weights, and
+        before it is validated.
     history : record of each finished epoch.
     uncertainty : factors that make the probabilities and expected errors of the last validation hold.
     best_weights : weights of the epoch with the smallest validation loss, on the CPU, with these factors.
@@ -99,6 +101,7 @@ class TrainingState:
         steps = -(-len(self.feeds["train"].rows) // settings.optimiser.batch_size)
         self.step = TrainingStep(config, self.maker, processes, steps, weights)
         self.optimisation = self.step.optimisation
+        self.start: EpochRecord | None = None
         self.history: list[EpochRecord] = []
         self.uncertainty = UncertaintyFactors()
         self.best_weights: dict[str, Tensor] = {}
@@ -157,17 +160,22 @@ class TrainingState:
             torch.set_num_threads(self._threads)
 
     @property
+    def candidates(self) -> list[EpochRecord]:
+        """What has weights that may be kept: the start, if there is one, and each finished epoch."""
+        return [*([self.start] if self.start else []), *self.history]
+
+    @property
     def best(self) -> EpochRecord:
-        """The first epoch with the smallest of `compared_losses`; there must be a finished epoch."""
+        """The first candidate with the smallest of `compared_losses`; there must be one."""
         losses = self.compared_losses
-        return self.history[losses.index(min(losses))]
+        return self.candidates[losses.index(min(losses))]
 
     @property
     def compared_losses(self) -> list[float]:
-        """Validation losses by which epochs are compared (`model.run_folder.history.compared_losses`)."""
+        """Losses by which the candidates are compared (`model.run_folder.history.compared_losses`)."""
         return compared_losses(
-            [record.validation_loss for record in self.history],
-            [record.validation_uncertainty for record in self.history],
+            [record.validation_loss for record in self.candidates],
+            [record.validation_uncertainty for record in self.candidates],
         )
 
     @property
@@ -180,11 +188,19 @@ class TrainingState:
         waited = epochs_without_improvement(self.compared_losses, self.settings.run.min_delta)
         return bool(self.history) and waited >= self.settings.run.patience
 
+    def begin_with(self, record: EpochRecord) -> None:
+        """Let the network that the training starts from be the best one so far."""
+        self.start = record
+        self._keep_if_best(record)
+
     def finish_epoch(self, record: EpochRecord) -> None:
         """Add an epoch to the history and start the next one."""
         self.history.append(record)
         self.batches_done = 0
         self.loss_total.zero_()
+        self._keep_if_best(record)
+
+    def _keep_if_best(self, record: EpochRecord) -> None:
         if self.best is record:
             network = self.optimisation.judged
             weights = network.state_dict()
@@ -220,7 +236,7 @@ class TrainingState:
             "optimisation": self.optimisation.state(),
             "best": self.best_weights,
             "position": {"batches": self.batches_done, "loss_total": loss_total},
-            "history": [asdict(record) for record in self.history],
+            "history": [asdict(record) for record in self.candidates],
             "window_rows": self.feeds["train"].window_rows,
         }
         with naming_disk(out / CHECKPOINT_FILE, then):
@@ -233,7 +249,7 @@ class TrainingState:
             with naming_disk(out / WEIGHTS_FILE, then):
                 save_weights(out, self.best_weights, self.run_id)
         with naming_disk(out / HISTORY_FILE, then):
-            write_history(out, self.history)
+            write_history(out, self.candidates)
 
     def restore(self, state: Mapping[str, Any], file: Path) -> None:
         """Load a checkpoint; `RunError` if it belongs to another training or contains impossible values."""
@@ -259,11 +275,13 @@ class TrainingState:
         feed, network = self.feeds["train"], self.step.network
         batches_an_epoch = self.optimisation.steps_per_epoch
         fill(network, state["network"], file)
-        history = checked_history(state["history"])
+        candidates = checked_history(state["history"])
+        history = [record for record in candidates if record.epoch]
         batches, loss_total = checked_position(state["position"], batches_an_epoch, len(feed.rows))
         self.optimisation.restore(state["optimisation"], len(history) * batches_an_epoch + batches)
-        best = checked_tensors(state["best"], network.state_dict() if history else {}, "best")
+        best = checked_tensors(state["best"], network.state_dict() if candidates else {}, "best")
         window_rows = checked_whole(state["window_rows"], 0, len(feed.rows), "window_rows")
+        self.start = candidates[0] if len(candidates) > len(history) else None
         self.history, self.best_weights, self.batches_done = history, best, batches
         if self.processes.is_first:  # the total is a sum over processes
             self.loss_total += loss_total

@@ -14,14 +14,9 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from disk.night_error import NightError
 from processes.deferred_signals import deferred_signals
 from processes.silence import silenced
-
-
-class BlenderError(NightError):
-    """Blender does not work on this machine."""
-
+from scenegen.making.missing_blender import BlenderError
 
 STDOUT, STDERR = 1, 2  # Blender's C code prints to these file descriptors
 

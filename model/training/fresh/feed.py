@@ -14,6 +14,12 @@ from model.training.fresh.workers import FreshWorkers
 from model.training.processes import Processes
 
 _PIXELS_AT_ONCE: Final = 2**20  # of the images that a worker renders at once
+_SCENES_AT_ONCE: Final = 1024
+
+
+def scenes_at_once(pixels: int, batch_size: int) -> int:
+    """How many scenes with images of so many pixels a worker renders at once; whole batches."""
+    return batch_size * max(1, min(_PIXELS_AT_ONCE // pixels, _SCENES_AT_ONCE) // batch_size)
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,8 @@ class FreshFeed:
     def _from(self, epoch: int, skip: int, batch_size: int) -> Iterator[FreshBatch]:
         """All batches from a place in the stream, each from scenes that a worker renders at once."""
         batches = list(self._all_batches(epoch, skip, batch_size))
-        at_once = max(1, _PIXELS_AT_ONCE // (self._pixels * len(self._processes.share(batches[0]))))
+        own = len(self._processes.share(batches[0]))
+        at_once = scenes_at_once(self._pixels, own) // own
         groups = [batches[start : start + at_once] for start in range(0, len(batches), at_once)]
         work = ([row for batch in group for row in self._processes.share(batch)] for group in groups)
         for group, block in zip(groups, self._workers.results(work), strict=True):

@@ -283,7 +283,9 @@ def test_an_imported_capture_brings_its_field_of_view(views, run, tmp_path):
 
 
 def test_a_modelled_camera_has_one_field_of_view(views):
-    problem = view_problem(load_sensor("mlx75027"), views, 24, 14, views.preset.itof.frequencies_hz)
+    problem = view_problem(
+        load_sensor("mlx75027"), views.preset, "it", 24, 14, views.preset.itof.frequencies_hz
+    )
     assert "have different fields of view, and a camera has one" in problem
 
 

@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
 from night_commands import night_here, refusal
 from safetensors.torch import load_file
 from synthetic_dataset import write_synthetic_dataset
@@ -27,6 +28,7 @@ from model.data.shards import open_shards
 from model.prediction.predictor import load
 from model.run_folder.history import read_history
 from model.run_folder.run_config import RunError, read_config
+from model.settings.fine_tuning import fine_tuning_course
 from model.training.loop import train
 from model.training.refusals import TrainingError
 from scenegen import open_dataset
@@ -147,6 +149,34 @@ def test_a_few_steps_from_a_trained_network_beat_as_many_from_random_weights(ren
     assert miou["fine"] > 0.5
 
 
+def test_a_training_that_spoils_the_network_keeps_the_weights_of_its_start(
+    seeing_run, closed_form_scenes, tmp_path
+):
+    spoiling = {"learning_rate": 0.01, "flip_rows": True}
+    result = train(
+        closed_form_scenes, tmp_path / "spoilt", fine(max_epochs=2, **spoiling), start_from=seeing_run
+    )
+    assert (result.epochs, result.best_epoch) == (2, 0)
+    assert "no epoch was better than the start, with the validation loss" in result.sentence("run")
+    before, kept = (load_file(run / "best.safetensors") for run in (seeing_run, tmp_path / "spoilt"))
+    assert all(torch.equal(before[name], kept[name]) for name in before)
+    history = read_history(tmp_path / "spoilt")
+    assert history["epoch"] == [0, 1, 2]
+    assert min(history["validation_loss"]) == history["validation_loss"][0] == result.best_validation_loss
+    train(closed_form_scenes, tmp_path / "resumed", fine(max_epochs=1, **spoiling), start_from=seeing_run)
+    train(closed_form_scenes, tmp_path / "resumed", fine(max_epochs=2, **spoiling), resume=True)
+    assert_same_end(tmp_path / "resumed", tmp_path / "spoilt")
+
+
+@pytest.mark.parametrize(
+    ("scenes", "changes", "epochs"),
+    [(16, {}, 200), (17, {}, 100), (160, {}, 40), (9000, {}, 40), (9000, {"train_scenes": 16}, 200)],
+)
+def test_few_scenes_are_seen_in_more_epochs(scenes, changes, epochs):
+    course = fine_tuning_course(fine(batch_size=16, **changes), scenes)
+    assert course["run"] == {"max_epochs": epochs, "patience": epochs}
+
+
 @pytest.mark.parametrize(
     ("damage", "sentence"),
     [
@@ -180,7 +210,8 @@ def test_the_command_takes_the_network_of_the_start_and_the_training_of_the_pres
     assert (chosen["network"]["width"], chosen["target"]["mask_threshold"]) == (8, 0.4)
     assert chosen["input"]["frequencies_hz"] == [20e6, 50e6, 60e6]
     optimiser = chosen["optimiser"]
-    assert (optimiser["batch_size"], optimiser["learning_rate"], optimiser["algorithm"]) == (16, 1e-3, "adam")
+    assert (optimiser["batch_size"], optimiser["learning_rate"], optimiser["algorithm"]) == (16, 3e-4, "adam")
+    assert chosen["run"]["patience"] == 200  # steps, of one epoch each
     done = night_here("night-train", wider.root, "--out", out, "--resume", "--max-epochs", 1)
     assert done.returncode == 0, done.stderr
     for given, sentence in (

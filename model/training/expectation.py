@@ -1,0 +1,41 @@
+"""How accurate a network becomes after so many fresh scenes: the learning curves that were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from math import log
+from typing import Final
+
+# (samples, MAE over that of predicting no object), by whether the scenes are of one corner and whether the
+# training starts from a network that comes with the program. Between two points, and beyond the last, the MAE
+# is a power of the samples. At 40 x 30 pixels and 20, 50, 60 MHz with objects of the paper, on 127 scenes
+# (notebook/experiments.md, Learning curves of fresh scenes); the points from 393,216 samples on are those of
+# the networks `night-40x30` and `any-corner-80x60`, by their cards.
+CURVES: Final = {
+    (True, False): ((8_192, 0.411), (16_384, 0.335), (640_000, 0.159)),
+    (True, True): ((2_048, 0.434), (8_192, 0.309), (16_384, 0.266), (640_000, 0.159)),
+    (False, False): ((4_096, 1.0), (16_384, 0.572), (655_360, 0.349)),
+    (False, True): ((16_384, 0.417), (393_216, 0.346)),
+}
+
+
+def expected_mae_cm(samples: int, no_object_cm: float, *, one_corner: bool, start_cm: float | None) -> float:
+    """The MAE over all pixels that a network probably has after so many fresh scenes, cm.
+
+    Parameters
+    ----------
+    no_object_cm : that of predicting no object.
+    start_cm : of the network that the training starts from; None from new weights.
+    """
+    share = _share(CURVES[one_corner, start_cm is not None], samples)
+    return min(share * no_object_cm, no_object_cm if start_cm is None else start_cm)
+
+
+def _share(points: Sequence[tuple[int, float]], samples: int) -> float:
+    """The curve through points, by the segment that begins before so many samples, or the first one."""
+    segments = list(pairwise(points))
+    begun = [each for each in segments if each[0][0] <= samples] or segments[:1]
+    (n, share), (later, smaller) = begun[-1]
+    exponent = log(share / smaller) / log(later / n)
+    return float(share * (n / samples) ** exponent)

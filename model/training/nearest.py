@@ -1,0 +1,78 @@
+"""The network that comes with the program and is the best one to start from, for the scenes of a preset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+from disk.frequency_text import megahertz
+from model.run_folder.networks import Network
+from model.run_folder.run_config import RunConfig, read_config
+from model.run_folder.shipped import shipped_runs
+from model.training.refusals import represented_frequency_hz
+from scenegen import Preset
+
+_LARGEST_BLOCK = 64  # pixels, of `NetworkSettings`
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """What a training on the scenes of a preset starts from.
+
+    Attributes
+    ----------
+    run : run folder of a network; None for new weights.
+    block : pixels a side of a position of its U-Net, for the images of the preset; 0 without a network.
+    why : the reason, as a sentence without a full stop.
+    """
+
+    run: Path | None
+    block: int
+    why: str
+
+
+def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
+    """The shipped network that knows the frequencies of a preset, images of its shape, and as many corners.
+
+    Of several, it is one of the size of the images, or of the largest whole part of it
+    (`model.training.finer_pixels`); one that was trained for a camera, if this one is (`has_sensor`); and the
+    one with the smallest error.
+    """
+    camera, hz = preset.camera, preset.itof.frequencies_hz
+    size, corner = f"{camera.width}x{camera.height} pixels", preset.is_one_corner
+    found = {name: read_config(run) for name, run in shipped_runs().items()}
+    at_these = {n: each for n, each in found.items() if _has_frequencies(each, preset)}
+    of_size = {n: each for n, each in at_these.items() if _times(each, preset)}
+    fitting = {n: each for n, each in of_size.items() if each.inputs.shows_wall != corner}
+    if not fitting:
+        lack = megahertz(*hz) if not at_these else size if not of_size else "many corners"
+        return Nearest(None, 0, f"the training starts from new weights: no network of NIGHT is for {lack}")
+
+    def rank(name: str) -> tuple[int, bool, float]:
+        network = Network.of(shipped_runs()[name], fitting[name])
+        error_cm = network.validation_mae_cm or inf
+        return _times(fitting[name], preset), network.is_of_camera != has_sensor, error_cm
+
+    name = min(fitting, key=rank)
+    block = fitting[name].settings.network.block * _times(fitting[name], preset)
+    corners = "one corner" if corner else "many corners"
+    own = f"{fitting[name].image_width}x{fitting[name].image_height} pixels"
+    where = f"images of {own}" + ("" if own == size else f", a whole part of {size}")
+    why = f"the training starts from {name}, which is for {corners}, {megahertz(*hz)} and {where}"
+    return Nearest(shipped_runs()[name], block, why)
+
+
+def _has_frequencies(config: RunConfig, preset: Preset) -> bool:
+    hz = preset.itof.frequencies_hz
+    return {*config.inputs.frequencies_hz} <= {
+        *hz
+    } and config.output_frequency_hz == represented_frequency_hz(hz[0], [preset])
+
+
+def _times(config: RunConfig, preset: Preset) -> int:
+    """How many times as many pixels a side the images of a preset have; 0 if the network cannot have them."""
+    camera = preset.camera
+    times = camera.width // config.image_width
+    fits = (camera.width, camera.height) == (times * config.image_width, times * config.image_height)
+    return times if fits and times * config.settings.network.block <= _LARGEST_BLOCK else 0
