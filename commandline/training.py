@@ -78,11 +78,11 @@ def night_train(
 def _fresh_preset(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh]]:
     """A preset of scenes, and the mesh files that it names."""
     from scenegen.corner_check import refuse_impossible_corner
-    from scenegen.making.meshes import read_meshes
+    from scenegen.making.meshes import with_meshes
 
     data, origin = read_settings("presets", name_or_file)
     preset = preset_from_dict(data, origin)
-    meshes = read_meshes(preset, Path(origin).parent)
+    preset, meshes = with_meshes(preset, Path(origin).parent)
     refuse_impossible_corner(preset, meshes)
     return preset, meshes
 
