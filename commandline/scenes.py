@@ -61,12 +61,12 @@ def scenes(
     from scenegen.making.datasets import blender_maker
     from scenegen.making.generation import generate
     from scenegen.making.generation_pool import generate_in_processes
-    from scenegen.making.meshes import read_meshes
+    from scenegen.making.meshes import with_meshes
     from scenegen.making.replacing import losses
     from scenegen.making.target import check_target
 
     settings, preset_folder = _overridden_preset(out, preset, count, seed)
-    meshes = read_meshes(settings, preset_folder)
+    settings, meshes = with_meshes(settings, preset_folder)
     refuse_impossible_corner(settings, meshes)
     hashes = {shape: mesh.sha256 for shape, mesh in meshes.items()}
     check_target(out, settings, hashes, replacing=replace)  # before Blender, which takes a second to load
@@ -107,7 +107,7 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
     from render.products.corner_figure import write_corner_figure
     from render.products.corner_page import write_corner_page
     from scenegen.corner_check import refuse_impossible_corner
-    from scenegen.making.meshes import read_meshes
+    from scenegen.making.meshes import with_meshes
 
     data, origin = read_settings("presets", preset)
     settings = preset_from_dict(data, origin)
@@ -115,7 +115,7 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
     files = [out] if out else [Path(f"{Path(origin).stem}_corner{ending}") for ending in writers]
     if out and out.suffix.lower() not in writers:
         raise click.BadParameter(f"{out} must end in {' or '.join(writers)}", param_hint="--out")
-    meshes = read_meshes(settings, Path(origin).parent)
+    settings, meshes = with_meshes(settings, Path(origin).parent)
     facts = corner_facts(settings, meshes)
     for file in files:
         writers[file.suffix.lower()](settings, facts, file)

@@ -168,11 +168,11 @@ def _train_for(
 def _preset_of_scenes(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh], Path]:
     """A preset of scenes, the mesh files that it names, and their folder."""
     from scenegen.corner_check import refuse_impossible_corner
-    from scenegen.making.meshes import read_meshes
+    from scenegen.making.meshes import with_meshes
 
     data, origin = read_settings("presets", name_or_file)
     preset = preset_from_dict(data, origin)
-    meshes = read_meshes(preset, Path(origin).parent)
+    preset, meshes = with_meshes(preset, Path(origin).parent)
     refuse_impossible_corner(preset, meshes)
     return preset, meshes, Path(origin).parent
 

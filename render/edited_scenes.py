@@ -82,11 +82,6 @@ def refuse_unlike(scene: Scene, dataset: Dataset, files: Mapping[str, bytes], di
     ----------
     files, digest : of the scene's folder.
     """
-    if len({part.reflectance for part in scene.hidden_objects}) > 1:
-        raise RenderError(
-            f"scene {scene.id}: its hidden objects have different reflectances, but share one material: give "
-            "them the same reflectance"
-        )
     folder = dataset.scene_folder(scene.id)
     if is_edited(dataset, scene.id, digest) and (problem := misplaced(scene, files, folder)):
         raise RenderError(f"scene {scene.id}: {problem}")

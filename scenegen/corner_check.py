@@ -113,9 +113,9 @@ def _in_view(
     preset: Preset, relay: Wall, middle: Wall, projector: Emitter, meshes: Mapping[Shape, UnitMesh]
 ) -> Iterator[str]:
     """Why no object's centre is possible, which is in the convex hull of primitives, not of all meshes."""
-    has_mesh = any(shape.startswith(MESH_PREFIX) for shape in preset.hidden_object.shapes)
+    has_mesh = any(shape.startswith(MESH_PREFIX) for shape in preset.shapes)
     margin_m = largest_radius_m(preset, meshes) if has_mesh else 0.0
-    ranges, wider_m = preset.hidden_object.location_m, np.array([-margin_m, margin_m])
+    ranges, wider_m = preset.places_m, np.array([-margin_m, margin_m])
     box = np.array([ranges.x, ranges.y, ranges.z]) + wider_m  # (3, 2)
     for eye, who in ((preset.camera.location_m, "camera"), (projector.location_m, "projector")):
         if abs(distances_m(middle, np.array([eye]))[0]) <= CLEARANCE_M:
@@ -151,7 +151,7 @@ def _has_point(region: Points, box: Points) -> bool:
 
 def _region(preset: Preset, radius_m: float, relay: Wall, middle: Wall) -> Points:
     """(N, 3) possible places in the box that objects of this radius may reach."""
-    ranges = preset.hidden_object.location_m
+    ranges = preset.places_m
     wider = ((low - radius_m, high + radius_m) for low, high in (ranges.x, ranges.y, ranges.z))
     sides = [np.linspace(low, high, _PLACES) for low, high in wider]
     places = np.array(list(product(*sides)))

@@ -8,12 +8,14 @@ from math import floor, gcd, hypot, log10
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from disk.frequency_text import megahertz
 from disk.preset_files import PresetError
 from disk.quantities import Extent
-from scenegen.object_settings import HiddenObjectSettings
+from scenegen.object_settings import LocationRanges
+from scenegen.object_tables import BesideObject, OffsetRanges
 from scenegen.pose import mirror_image
 from scenegen.preset import Preset
 from scenegen.sampling import walls_of
@@ -66,27 +68,49 @@ def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
     cube of its longest side.
     """
     mirrored_m = mirror_image(np.array(preset.camera.location_m), walls_of(preset)[0])  # (3,)
-    settings = preset.hidden_object
-    location = settings.location_m
-    ranges = np.array([location.x, location.y, location.z])  # (3, 2)
-    if settings.composite_fraction > 0:
-        offset = np.array(settings.composite_offset_m) * settings.size_factor[1]
-        ranges = ranges + np.array([min(offset[0], 0), max(offset[1], 0)])  # of the first and the second part
-    corners = np.array(list(product(*ranges)))  # (8, 3)
-    farthest_m = float(np.linalg.norm(corners - mirrored_m, axis=1).max())
     moved_m = 3**0.5 * preset.camera_spread.location_m
-    return farthest_m + moved_m + largest_radius_m(preset, meshes)
+    return moved_m + max(
+        float(np.linalg.norm(np.array(list(product(*box))) - mirrored_m, axis=1).max()) + radius_m
+        for box, radius_m in boxes(preset, meshes)
+    )
 
 
 def largest_radius_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> float:
     """Largest distance of a point of a hidden object from its centre, metres."""
-    settings = preset.hidden_object
-    return settings.size_factor[1] * max(_radius_m(settings, shape, meshes) for shape in settings.shapes)
+    return max(radius_m for _, radius_m in boxes(preset, meshes))
 
 
-def _radius_m(settings: HiddenObjectSettings, shape: Shape, meshes: Mapping[Shape, UnitMesh]) -> float:
-    """Largest distance of a point of a shape from its centre, in its usual size, metres."""
-    size_m: Extent = settings.size_m.of(shape)
+def boxes(
+    preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES
+) -> list[tuple[NDArray[np.float64], float]]:
+    """Boxes (3, 2) of the centres of hidden objects, metres, and the largest radius of those in each."""
+    hidden = preset.hidden_object
+    least, most = hidden.size_factor
+    found = []
+    for listed in preset.object:
+        box = _box(listed.location_m or hidden.location_m)
+        for thing in listed.things:
+            offset = _box(thing.offset_m) if isinstance(thing, BesideObject) else np.zeros((3, 2))
+            low, high = offset[:, 0], offset[:, 1]
+            ends = np.stack([np.minimum(least * low, most * low), np.maximum(least * high, most * high)], 1)
+            radius_m = _radius_m(thing.name, thing.extent_m(hidden.size_m), meshes)
+            found.append((box + ends, most * radius_m))
+    if not found:
+        box = _box(hidden.location_m)
+        if hidden.pair_fraction > 0:
+            low_m, high_m = hidden.composite_offset_m
+            box = box + np.array([min(low_m * most, 0), max(high_m * most, 0)])  # of the first and the second
+        radius_m = max(_radius_m(shape, hidden.size_m.of(shape), meshes) for shape in hidden.shapes)
+        found.append((box, most * radius_m))
+    return found
+
+
+def _box(ranges: LocationRanges | OffsetRanges) -> NDArray[np.float64]:
+    return np.array([ranges.x, ranges.y, ranges.z])
+
+
+def _radius_m(shape: Shape, size_m: Extent, meshes: Mapping[Shape, UnitMesh]) -> float:
+    """Largest distance of a point of a shape from its centre, metres."""
     x, y, z = size_m
     if shape in meshes:
         return meshes[shape].radius * x  # x is the longest side, which the mesh has as 1

@@ -26,7 +26,7 @@ def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({}
 
     Parameters
     ----------
-    meshes : the mesh files that the scene's shapes name, by shape; see `scenegen.making.meshes.read_meshes`.
+    meshes : the mesh files that the scene's shapes name, by shape; see `scenegen.making.meshes.with_meshes`.
     """
     eyes = dict.fromkeys([scene.camera.location_m, scene.emitter.location_m])
     walls = (scene.relay_wall, scene.middle_wall)

@@ -42,7 +42,7 @@ def mirrored_names(scene: Scene) -> dict[str, str]:
 
 def seen_description(scene: Scene) -> Description:
     """What the camera measures: both walls and the hidden objects."""
-    hidden = dict.fromkeys(hidden_names(scene), "hidden_object")
+    hidden = {name: _material_name(name, scene) for name in hidden_names(scene)}
     meshes = {"relay_wall": "relay_wall", "middle_wall": "middle_wall", **hidden}
     return _description(scene, meshes, scene.max_bounces)
 
@@ -53,7 +53,7 @@ def mirrored_description(scene: Scene) -> Description:
     Like a real mirror, a scene with `mirror_occluders` also has the mirror image of the middle wall.
     """
     mirrored = {
-        image: "middle_wall" if name == "middle_wall" else "hidden_object"
+        image: "middle_wall" if name == "middle_wall" else _material_name(name, scene)
         for image, name in mirrored_names(scene).items()
     }
     return _description(scene, {"middle_wall": "middle_wall", **mirrored}, 1)
@@ -128,8 +128,14 @@ def _projector(scene: Scene) -> Description:
 def _material(name: str, scene: Scene) -> Description:
     if name == "relay_wall":
         return _relay_wall(scene.relay_wall)
-    # All hidden objects of a scene share one reflectance; the middle wall is black.
-    return _diffuse(scene.hidden_objects[0].reflectance if name == "hidden_object" else 0.0)
+    names = [_material_name(each, scene) for each in hidden_names(scene)]
+    parts = dict(zip(names, scene.hidden_objects, strict=True))
+    return _diffuse(parts[name].reflectance if name in parts else 0.0)  # the middle wall is black
+
+
+def _material_name(name: str, scene: Scene) -> str:
+    """Material of a hidden object: one for all, or its own where their reflectances differ."""
+    return "hidden_object" if len({part.reflectance for part in scene.hidden_objects}) == 1 else name
 
 
 def _relay_wall(wall: RelayWall) -> Description:

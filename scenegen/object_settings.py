@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT
@@ -18,9 +19,18 @@ def _ascending(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-MetreRange = Annotated[tuple[Metres, Metres], AfterValidator(_ascending)]
-DegreeRange = Annotated[tuple[Degrees, Degrees], AfterValidator(_ascending)]
-FactorRange = Annotated[tuple[SizeFactor, SizeFactor], AfterValidator(_ascending)]
+def _range(given: Any) -> Any:
+    """A number is the range of that number alone."""
+    if isinstance(given, list):
+        return tuple(given)
+    is_number = isinstance(given, int | float) and not isinstance(given, bool)
+    return (given, given) if is_number else given
+
+
+_RANGE = (BeforeValidator(_range), AfterValidator(_ascending))
+MetreRange = Annotated[tuple[Metres, Metres], *_RANGE]
+DegreeRange = Annotated[tuple[Degrees, Degrees], *_RANGE]
+FactorRange = Annotated[tuple[SizeFactor, SizeFactor], *_RANGE]
 _ONE_SIZE = (1.0, 1.0)
 
 
@@ -80,7 +90,7 @@ class HiddenObjectSettings:
     """Shapes, places, rotations, sizes and reflectance of the hidden objects.
 
     The fraction `empty_fraction` of the scenes has no object: these are empty corners. Of the others, the
-    fraction `composite_fraction` has two different shapes; the second one is displaced by
+    fraction `composite_fraction` has two different shapes, if there are two; the second one is displaced by
     `composite_offset_m` (per axis) and turned by `composite_rotation_deg` (per angle) against the first.
     If there is a `least_reflectance`, each scene draws one reflectance for all of its objects, evenly between
     that and `reflectance`. Each scene draws one factor by which `size_m` and the offset of its second shape
@@ -102,12 +112,21 @@ class HiddenObjectSettings:
     empty_fraction: Annotated[Fraction, Field(exclude_if=lambda value: value == 0)] = 0.0
 
     @property
+    def pair_fraction(self) -> float:
+        """Fraction of composites among the scenes with objects."""
+        return self.composite_fraction if len(self.shapes) > 1 else 0.0
+
+    @property
     def has_one_size(self) -> bool:
         """Whether all objects of a shape have the same size."""
         return self.size_factor == _ONE_SIZE
 
     def __post_init__(self) -> None:
-        sizes_m = [side for shape in self.shapes for side in self.size_m.of(shape)]
+        self.refuse_sizes(side for shape in self.shapes for side in self.size_m.of(shape))
+
+    def refuse_sizes(self, extents_m: Iterable[float]) -> None:
+        """Refuse extents, metres, that become none by a factor that scenes may draw (`ValueError`)."""
+        sizes_m = list(extents_m) or [1.0]
         for size_m, factor in ((min(sizes_m), self.size_factor[0]), (max(sizes_m), self.size_factor[1])):
             problem = LENGTH.problem(size_m * factor)
             if problem:

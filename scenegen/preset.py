@@ -33,8 +33,10 @@ from disk.quantities import (
     Roughness,
     Seed,
 )
-from scenegen.object_settings import HiddenObjectSettings, distinct
+from scenegen.object_settings import HiddenObjectSettings, LocationRanges, RotationRanges, distinct
+from scenegen.object_tables import ListedObject
 from scenegen.projector import ProjectorSettings
+from scenegen.shapes import PRIMITIVES, Shape
 
 Material = Literal["rough", "diffuse"]
 MOST_BOUNCES = 64  # surfaces that light may meet on its way
@@ -157,7 +159,10 @@ class GroundTruthSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class Preset:
-    """All settings of a dataset. The defaults are those of the preset ``paper``."""
+    """All settings of a dataset. The defaults are those of the preset ``paper``.
+
+    Where there are tables `object`, scenes take turns among them and have no shapes of `hidden_object`.
+    """
 
     dataset: DatasetSettings = DatasetSettings()
     hidden_object: HiddenObjectSettings = HiddenObjectSettings()
@@ -176,6 +181,27 @@ class Preset:
     ground_truth: Annotated[
         GroundTruthSettings, Field(exclude_if=lambda value: value == GroundTruthSettings())
     ] = GroundTruthSettings()
+    object: Annotated[tuple[ListedObject, ...], Field(exclude_if=lambda value: not value)] = ()
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes of all hidden objects that scenes may have, each once."""
+        listed = dict.fromkeys(thing.name for each in self.object for thing in each.things)
+        return tuple(listed) or self.hidden_object.shapes
+
+    @property
+    def places_m(self) -> LocationRanges:
+        """The smallest box around the ranges of all first objects of scenes."""
+        usual = self.hidden_object.location_m
+        found = [each.location_m or usual for each in self.object] or [usual]
+        return LocationRanges(*(_around([getattr(each, axis) for each in found]) for axis in "xyz"))
+
+    @property
+    def turns_deg(self) -> RotationRanges:
+        """The same of their angles."""
+        usual = self.hidden_object.rotation_deg
+        found = [each.rotation_deg or usual for each in self.object] or [usual]
+        return RotationRanges(*(_around([getattr(each, axis) for each in found]) for axis in "xyz"))
 
     @property
     def is_one_corner(self) -> bool:
@@ -183,10 +209,15 @@ class Preset:
         return self.camera_spread == CameraSpread()
 
     def __post_init__(self) -> None:
-        if self.hidden_object.composite_fraction > 0 and len(self.hidden_object.shapes) < 2:
+        if self.object and self.hidden_object.shapes != PRIMITIVES:
+            raise ValueError("give hidden_object.shapes or tables [[object]], not both")
+        self.hidden_object.refuse_sizes(
+            thing.size_m for each in self.object for thing in each.things if thing.size_m
+        )
+        ups = {(thing.name, thing.up) for each in self.object for thing in each.things}
+        if len(ups) > len({name for name, _ in ups}):
             raise ValueError(
-                "hidden_object.composite_fraction needs two different shapes to combine: "
-                "list a second shape or set it to 0"
+                "a mesh file has one up axis: give the same up wherever [[object]] names the file"
             )
         fov_deg, spread_deg = self.camera.horizontal_fov_deg, self.camera_spread.horizontal_fov_deg
         if spread_deg and not (fov_deg - spread_deg >= MIN_FOV_DEG and fov_deg + spread_deg <= MAX_FOV_DEG):
@@ -227,6 +258,11 @@ class Preset:
                 f"transient.bin_width_m = {self.transient.bin_width_m:g} is half a period: "
                 f"got {fastest_hz / 1e6:g} MHz"
             )
+
+
+def _around(ranges: list[tuple[float, float]]) -> tuple[float, float]:
+    """The smallest range around some."""
+    return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 def preset_from_dict(data: dict[str, Any], origin: str) -> Preset:

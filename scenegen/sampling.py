@@ -10,6 +10,8 @@ import numpy as np
 
 from disk.night_error import NightError
 from disk.quantities import Vector
+from scenegen.object_settings import HiddenObjectSettings, LocationRanges, RotationRanges
+from scenegen.object_tables import BesideObject, ListedObject, OffsetRanges
 from scenegen.preset import Preset
 from scenegen.scene import (
     COMPOSITE,
@@ -38,8 +40,8 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
     number of scenes nor on the order of work.
     """
     rng = np.random.default_rng([preset.dataset.seed, index, attempt])
-    object_class, split = class_and_split(preset, index)
-    parts = _sample_parts(preset, object_class, rng)
+    which, object_class, split = _class_and_split(preset, index)
+    parts = _sample_parts(preset, which, object_class, rng)
     roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
     camera = _sample_camera(preset, rng)
     reflectance = _sample_reflectance(preset, rng)
@@ -97,12 +99,17 @@ def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], st
         reason = refused
     raise SamplingError(
         f"scene {index}: none of {MAX_ATTEMPTS} draws fits the room (the last: {reason}); "
-        "widen hidden_object.location_m or make the object smaller"
+        "widen location_m or make the object smaller"
     )
 
 
 def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
-    """Object class and split of scene `index`; the first n scenes have the exact proportions, for every n.
+    """Object class and split of scene `index`."""
+    return _class_and_split(preset, index)[1:]
+
+
+def _class_and_split(preset: Preset, index: int) -> tuple[int, str, Split]:
+    """Number and name of the class of scene `index`, and its split; of the first n scenes exactly the shares.
 
     Empty corners are distributed evenly over the scenes, and composites over the others; the other classes
     take turns. So the others have the classes of a preset without empty corners, in their order. The scenes
@@ -111,20 +118,21 @@ def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
     validation and 269 for testing. The paper has 1075 and 269, and describes no validation split.
     """
     settings, hidden = preset.dataset, preset.hidden_object
-    empty, fraction = hidden.empty_fraction, hidden.composite_fraction
-    classes = [*hidden.shapes, *[COMPOSITE] * (fraction > 0), *[EMPTY] * (empty > 0)]
+    empty, fraction = hidden.empty_fraction, 0.0 if preset.object else hidden.pair_fraction
+    usual = [each.class_name for each in preset.object] or hidden.shapes
+    classes = [*usual, *[COMPOSITE] * (fraction > 0), *[EMPTY] * (empty > 0)]
     empty_before = _dealt(index, empty, 0.5)
     with_objects = index - empty_before
     composites_before = _dealt(with_objects, fraction, 0.5)
     if _dealt(index + 1, empty, 0.5) > empty_before:
         class_index, member = len(classes) - 1, empty_before
     elif _dealt(with_objects + 1, fraction, 0.5) > composites_before:
-        class_index, member = len(hidden.shapes), composites_before
+        class_index, member = len(usual), composites_before
     else:
-        member, class_index = divmod(with_objects - composites_before, len(hidden.shapes))
+        member, class_index = divmod(with_objects - composites_before, len(usual))
     start = (class_index + 0.5) / len(classes)
     split = _split_of_member(member, start, settings.test_fraction, settings.validation_fraction)
-    return classes[class_index], split
+    return class_index, classes[class_index], split
 
 
 def leaks(scenes: Iterable[Scene]) -> list[str]:
@@ -174,22 +182,47 @@ def _dealt(count: int, fraction: float, start: float) -> int:
     return floor(count * fraction + start + 1e-9)
 
 
-def _sample_parts(preset: Preset, object_class: str, rng: np.random.Generator) -> list[HiddenObject]:
-    """The objects of a scene, before what is drawn last for all of them."""
+def _sample_parts(
+    preset: Preset, which: int, object_class: str, rng: np.random.Generator
+) -> list[HiddenObject]:
+    """The objects of a scene of the class number `which`, before what is drawn last for all of them."""
     if object_class == EMPTY:
         return []
+    if preset.object:
+        return _sample_listed(preset.hidden_object, preset.object[which], rng)
     first = _sample_first(preset, object_class, rng)
     return [first, _sample_second(preset, first, rng)] if object_class == COMPOSITE else [first]
 
 
 def _finished(part: HiddenObject, first: HiddenObject, reflectance: float, factor: float) -> HiddenObject:
     """An object with the reflectance of its scene, enlarged with the others about the centre of the first."""
-    part = replace(part, reflectance=reflectance)
+    part = replace(part, reflectance=part.reflectance * reflectance)
     if factor == 1:
         return part
     x, y, z = (a + factor * (b - a) for a, b in zip(first.location_m, part.location_m, strict=True))
     width, depth, height = (factor * side for side in part.size_m)
     return replace(part, location_m=(x, y, z), size_m=(width, depth, height))
+
+
+def _sample_listed(
+    usual: HiddenObjectSettings, listed: ListedObject, rng: np.random.Generator
+) -> list[HiddenObject]:
+    """An object of a table, and those beside it."""
+    places: list[Vector] = []
+    parts = []
+    for thing in listed.things:
+        if isinstance(thing, BesideObject):
+            places.append(_sum(places[0], _uniform(rng, _axes(thing.offset_m))))
+        else:
+            places.append(_uniform(rng, _axes(listed.location_m or usual.location_m)))
+        turn = _uniform(rng, _axes(thing.rotation_deg or usual.rotation_deg))
+        extent_m = thing.extent_m(usual.size_m)
+        parts.append(HiddenObject(thing.name, extent_m, places[-1], turn, thing.reflectance))
+    return parts
+
+
+def _axes(ranges: LocationRanges | OffsetRanges | RotationRanges) -> list[tuple[float, float]]:
+    return [ranges.x, ranges.y, ranges.z]
 
 
 def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -> HiddenObject:
@@ -200,8 +233,8 @@ def _sample_first(preset: Preset, object_class: str, rng: np.random.Generator) -
     return HiddenObject(
         shape=shape,
         size_m=settings.size_m.of(shape),
-        location_m=_uniform(rng, (location.x, location.y, location.z)),
-        rotation_deg=_uniform(rng, (rotation.x, rotation.y, rotation.z)),
+        location_m=_uniform(rng, _axes(location)),
+        rotation_deg=_uniform(rng, _axes(rotation)),
         reflectance=1.0,  # see `_finished`
     )
 

@@ -11,7 +11,8 @@ PRIMITIVES = ("cube", "cylinder", "sphere", "cone", "concave_plane", "parallelep
 MESH_PREFIX = "mesh:"  # followed by the path of a mesh file, relative to the preset's folder
 
 
-def _known_shape(shape: str) -> str:
+def known_shape(shape: str) -> str:
+    """The shape, if it is one; `ValueError` says why it is none."""
     if shape in PRIMITIVES:
         return shape
     if not shape.startswith(MESH_PREFIX):
@@ -26,4 +27,4 @@ def _known_shape(shape: str) -> str:
     return shape
 
 
-Shape = Annotated[str, AfterValidator(_known_shape)]  # one of PRIMITIVES, or "mesh:FILE"
+Shape = Annotated[str, AfterValidator(known_shape)]  # one of PRIMITIVES, or "mesh:FILE"

@@ -118,7 +118,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
             _write_clouds(clouds, name, points_gt_m, points_pred_m)
     if not results:
         raise nothing_rendered(bench.dataset, split)
-    location = bench.dataset.preset.hidden_object.location_m
+    location = bench.dataset.preset.places_m
     return Report(
         split=split,
         scenes=tuple(results),

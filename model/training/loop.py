@@ -106,7 +106,7 @@ def train(
     fresh : train on new scenes of this preset, which worker processes draw and render meanwhile; no scene
         comes twice. The training scenes of `dataset` then scale the input, and its validation scenes judge.
         A resumed run needs it only if it has `meshes`, and then the same.
-    meshes : the mesh files that the shapes of `fresh` name (`scenegen.making.meshes.read_meshes`).
+    meshes : the mesh files that the shapes of `fresh` name (`scenegen.making.meshes.with_meshes`).
     memory_bytes : memory for the scenes of a split; None for a quarter of the memory of machine or GPU. If
         the scenes take more, they are streamed from the shards and shuffled in windows
         (`model.data.feed`). A resumed run keeps the windows of its start.

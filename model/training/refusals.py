@@ -168,7 +168,7 @@ def _fresh_problem(
     fresh: FreshScenes, settings: TrainSettings, meshes: Mapping[Shape, UnitMesh]
 ) -> str | None:
     """Why fresh scenes cannot be made for a training."""
-    named = {shape for shape in fresh.preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)}
+    named = {shape for shape in fresh.preset.shapes if shape.startswith(MESH_PREFIX)}
     bounces, paper = fresh.preset.transient.max_bounces, settings.augmentation.paper
     if settings.run.ground_truth != "geometry":
         return "fresh scenes have no simulated ground truth: take run.ground_truth=geometry"

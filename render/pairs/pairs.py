@@ -37,6 +37,7 @@ from scenegen import (
     write_index,
 )
 from scenegen.dataset import MEASURED_GENERATOR
+from scenegen.depth_range import boxes
 from scenegen.pose import wall_geometry
 from scenegen.projector import ProjectorSettings
 from scenegen.scene import HiddenObject
@@ -116,6 +117,7 @@ def write_pairs(
         dataset=replace(preset.dataset, count=len(folders)),
         camera=replace(preset.camera, width=width, height=height),
         hidden_object=replace(preset.hidden_object, shapes=("sphere",), composite_fraction=0.0),
+        object=(),
     )
     scenes = [sample_scene(of_pairs, index) for index in range(len(folders))]
     view = WallView(**wall_geometry(scenes[0].camera, scenes[0].relay_wall))
@@ -150,13 +152,11 @@ def write_pairs(
 
 def region_of(preset: Preset, view: WallView) -> Region:
     """The smallest sphere about all hidden objects that a preset can have, in camera axes."""
-    hidden = preset.hidden_object
-    ranges = np.array([hidden.location_m.x, hidden.location_m.y, hidden.location_m.z])  # (3, 2)
-    half_m = max(float(np.linalg.norm(np.array(hidden.size_m.of(shape)))) for shape in hidden.shapes) / 2
-    if hidden.composite_fraction > 0:
-        half_m += float(np.sqrt(3) * np.abs(hidden.composite_offset_m).max())
-    centre = np.asarray(view.camera_axes) @ (ranges.mean(axis=1) - np.asarray(view.camera_location_m))
-    return Region(centre, float(np.linalg.norm(np.ptp(ranges, axis=1)) / 2) + half_m)
+    spheres = [(box.mean(axis=1), np.linalg.norm(np.ptp(box, axis=1)) / 2 + r) for box, r in boxes(preset)]
+    centre = np.mean([middle for middle, _ in spheres], axis=0)
+    radius_m = max(float(np.linalg.norm(middle - centre) + r) for middle, r in spheres)
+    seen = np.asarray(view.camera_axes) @ (centre - np.asarray(view.camera_location_m))
+    return Region(seen, radius_m)
 
 
 def _offset_std_rad(folder: Path) -> float:

@@ -90,6 +90,6 @@ def corner_facts(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -
 
 def region_box(preset: Preset, margin_m: float = 0.0) -> Points:
     """(8, 3) corners of the region of hidden objects' centres, wider by a margin."""
-    place = preset.hidden_object.location_m
+    place = preset.places_m
     sides = ((low - margin_m, high + margin_m) for low, high in (place.x, place.y, place.z))
     return np.array(list(product(*sides)))

@@ -103,12 +103,12 @@ def distributions_figure(found: Distributions, preset: Preset) -> Figure:
     figure = Figure(figsize=(11, 8.6), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(3, 3)
-    asked = preset.hidden_object
+    places_m, turns_deg = preset.places_m, preset.turns_deg
     for axis, name in enumerate("xyz"):
         values = found.locations_m[:, axis], found.second_locations_m[:, axis]
-        _histogram(axes[0, axis], values, getattr(asked.location_m, name), f"position {name}, m")
+        _histogram(axes[0, axis], values, getattr(places_m, name), f"position {name}, m")
         values = found.rotations_deg[:, axis], found.second_rotations_deg[:, axis]
-        _histogram(axes[1, axis], values, getattr(asked.rotation_deg, name), f"rotation {name}, degrees")
+        _histogram(axes[1, axis], values, getattr(turns_deg, name), f"rotation {name}, degrees")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=3, frameon=False, loc="outside upper center")
     _draw_roughness(axes[2, 0], found, preset)
     _draw_classes(axes[2, 1], found)

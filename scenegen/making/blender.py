@@ -42,7 +42,7 @@ class BlenderMaker:
 
     Parameters
     ----------
-    meshes : the mesh files that the scenes' shapes name, by shape; see `scenegen.making.meshes.read_meshes`.
+    meshes : the mesh files that the scenes' shapes name, by shape; see `scenegen.making.meshes.with_meshes`.
     """
 
     def __init__(self, meshes: Mapping[Shape, UserMesh] = MappingProxyType({})) -> None:

@@ -13,7 +13,7 @@ from processes.progress import showing_progress
 from scenegen.corner_check import refuse_impossible_corner
 from scenegen.dataset import Dataset
 from scenegen.making.generation_pool import generate_in_processes
-from scenegen.making.meshes import read_meshes
+from scenegen.making.meshes import with_meshes
 from scenegen.preset import Preset, preset_from_dict
 
 
@@ -51,7 +51,7 @@ def make_dataset(
     WorkerError : a process was killed.
     """
     settings, folder = _read(preset)
-    meshes = read_meshes(settings, folder if mesh_folder is None else Path(mesh_folder))
+    settings, meshes = with_meshes(settings, folder if mesh_folder is None else Path(mesh_folder))
     refuse_impossible_corner(settings, meshes)
     with showing_progress(settings.dataset.count, "scene", "scenes", show=progress) as bar:
         return generate_in_processes(

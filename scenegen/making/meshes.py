@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +15,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from disk.inner_paths import inside
 from disk.plain_file import read_plain
+from disk.preset_files import PresetError
+from scenegen.making.mesh_units import default_unit, default_up, doubts, mesh_size_m
+from scenegen.object_settings import RotationRanges
+from scenegen.object_tables import ListedObject, Thing, UpAxis
 from scenegen.preset import Preset
 from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.triangles import MeshError, read_triangles
@@ -20,6 +27,8 @@ from scenegen.unit_meshes import UnitMesh
 FORMATS = ("ply", "stl", "obj", "off", "glb")  # trimesh also reads archives, which unpack to any size
 MAX_FILE_BYTES = 2**30  # two million triangles as text take about half of it
 _EXTENT_RANGE = (1e-30, 1e30)  # float64 holds the squares and products of such lengths
+AnyThing = TypeVar("AnyThing", bound=Thing)
+_log = logging.getLogger(__name__)
 _FLOAT32_STEP = float(np.finfo(np.float32).eps)  # accuracy of coordinates in the unit box
 
 
@@ -35,25 +44,56 @@ class UserMesh(UnitMesh):
         set of three vertices occurs twice.
     outermost : (N,) int64 indices of the vertices of the convex hull; for a flat mesh, of all vertices.
     sha256 : hash of the file's bytes.
+    sides : of the bounding box along x, y and z, in the unit of the file.
     """
 
     sha256: str
+    sides: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
-def read_meshes(preset: Preset, folder: Path) -> dict[Shape, UserMesh]:
-    """Read the meshes that a preset's shapes name, by shape; `folder` is the preset's folder.
+def with_meshes(preset: Preset, folder: Path) -> tuple[Preset, dict[Shape, UserMesh]]:
+    """Read the meshes that a preset names, by shape; `folder` is the preset's folder.
+
+    The preset comes back with the sizes of meshes that have a unit. What looks wrong of a mesh is logged.
 
     Raises
     ------
     MeshError : a file that `read_mesh` refuses; the message names it.
     OutsideError : a file is not inside `folder`.
+    PresetError : a mesh is too large or too small in its unit.
     """
-    shapes = [shape for shape in preset.hidden_object.shapes if shape.startswith(MESH_PREFIX)]
-    return {shape: read_mesh(inside(folder, shape.removeprefix(MESH_PREFIX))) for shape in shapes}
+    ups = {thing.name: thing.up for each in preset.object for thing in each.things}
+    shapes = [shape for shape in preset.shapes if shape.startswith(MESH_PREFIX)]
+    files = {shape: inside(folder, shape.removeprefix(MESH_PREFIX)) for shape in shapes}
+    meshes = {
+        shape: read_mesh(file, (ups[shape] or default_up(file.name)) if ups else "z")
+        for shape, file in files.items()
+    }
+    try:
+        turns = preset.hidden_object.rotation_deg
+        listed = tuple(_measured(each, meshes, turns) for each in preset.object)
+        return replace(preset, object=listed), meshes
+    except ValueError as error:
+        raise PresetError(f"a mesh of [[object]] in its unit: {' '.join(str(error).split())}") from None
 
 
-def read_mesh(file: Path) -> UserMesh:
-    """Read a mesh file: PLY, STL, OBJ, OFF or GLB.
+def _measured(listed: ListedObject, meshes: Mapping[Shape, UserMesh], turns: RotationRanges) -> ListedObject:
+    """The object, and those beside it, with the sizes and axes of their meshes."""
+    beside = tuple(_sized(each, meshes[each.name], turns) if each.file else each for each in listed.beside)
+    own = _sized(listed, meshes[listed.name], turns) if listed.file else listed
+    return replace(own, beside=beside)
+
+
+def _sized(thing: AnyThing, mesh: UserMesh, turns: RotationRanges) -> AnyThing:
+    unit = thing.unit or default_unit(str(thing.file)) if thing.size_m is None else None
+    for doubt in doubts(thing, unit, mesh.sides, thing.rotation_deg or turns):
+        _log.warning("warning: %s", doubt)
+    size_m = mesh_size_m(unit, mesh.sides) if unit else thing.size_m
+    return replace(thing, unit=None, size_m=size_m, up=thing.up or default_up(str(thing.file)))
+
+
+def read_mesh(file: Path, up: UpAxis = "z") -> UserMesh:
+    """Read a mesh file, PLY, STL, OBJ, OFF or GLB, whose axis `up` becomes z.
 
     All objects of the file become one mesh. Polygons become triangles that meet in their first corner, which
     is right for convex ones only. Vertices at the same position are merged. Triangles without area are
@@ -73,8 +113,10 @@ def read_mesh(file: Path) -> UserMesh:
     if kind not in FORMATS:
         raise MeshError(f"mesh {file} is in no known format: convert it to .ply, .stl, .obj, .off or .glb")
     vertices, triangles = read_triangles(contents, kind, str(file))
-    unit, kept = _in_unit_box(file, vertices, triangles)
-    return UserMesh(unit, kept, _outermost(unit), hashlib.sha256(contents).hexdigest())
+    if up == "y":
+        vertices = vertices[:, [0, 2, 1]] * [1, -1, 1]
+    unit, kept, sides = _in_unit_box(file, vertices, triangles)
+    return UserMesh(unit, kept, _outermost(unit), hashlib.sha256(contents).hexdigest(), sides)
 
 
 def _contents(file: Path) -> bytes:
@@ -82,8 +124,7 @@ def _contents(file: Path) -> bytes:
         return read_plain(file, MAX_FILE_BYTES)
     except FileNotFoundError:
         raise MeshError(
-            f"mesh {file} is missing: the shape {MESH_PREFIX}FILE is relative to the preset's folder, which "
-            "--preset gives"
+            f"mesh {file} is missing: a file is named relative to the preset's folder, which --preset gives"
         ) from None
     except OSError as error:
         raise MeshError(f"mesh {file} cannot be read: {error.strerror}") from None
@@ -91,8 +132,8 @@ def _contents(file: Path) -> bytes:
 
 def _in_unit_box(
     file: Path, vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Vertices and triangles as in `UserMesh`. Triangles without area do not count for the bounding box."""
+) -> tuple[NDArray[np.float32], NDArray[np.int32], tuple[float, float, float]]:
+    """Vertices, triangles and sides as in `UserMesh`. Triangles without area do not count for the box."""
     while len(triangles):
         used = vertices[np.unique(triangles)]
         low, high = used.min(axis=0), used.max(axis=0)
@@ -105,7 +146,8 @@ def _in_unit_box(
         )
         kept = _has_area(unit, merged)
         if kept.all():
-            return unit, merged[_first_of_each(merged)].astype(np.int32)
+            x, y, z = (high - low).tolist()
+            return unit, merged[_first_of_each(merged)].astype(np.int32), (x, y, z)
         triangles = triangles[kept]
     raise MeshError(f"mesh {file} has no area: all its triangles are lines or points")
 

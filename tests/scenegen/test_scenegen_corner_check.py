@@ -11,7 +11,7 @@ from disk.preset_files import PresetError
 from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
 from scenegen.corner_check import refuse_impossible_corner
 from scenegen.geometry_check import refusal as refusal_of
-from scenegen.making.meshes import read_meshes
+from scenegen.making.meshes import with_meshes
 from scenegen.sampling import sample_valid_scene
 
 # In the paper's corner, the middle wall is 3.3 m wide, in the plane y = 0; the relay wall is in x = 0.
@@ -160,6 +160,6 @@ def test_the_centre_of_a_meshs_box_may_be_in_view(tmp_path):
     shapes = {"shapes": ["mesh:tetrahedron.ply"], "composite_fraction": 0.0}
     place = {"location_m": {"x": [1.15, 1.15], "y": [-0.02, -0.02], "z": [1.6, 1.6]}}
     preset = preset_from_dict({"hidden_object": shapes | place | {"size_m": {"mesh": 0.3}}}, "test")
-    meshes = read_meshes(preset, tmp_path)
+    _, meshes = with_meshes(preset, tmp_path)
     refuse_impossible_corner(preset, meshes)
     sample_valid_scene(preset, 0, partial(refusal_of, meshes=meshes))

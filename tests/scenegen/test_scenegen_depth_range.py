@@ -9,7 +9,7 @@ from disk import PresetError
 from itof import combined_range_m, unambiguous_range_m
 from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
 from scenegen.depth_range import largest_mirrored_depth_m, refuse_wrapping_depths, turns_of_first_phase
-from scenegen.making.meshes import read_meshes
+from scenegen.making.meshes import with_meshes
 from scenegen.pose import rotation_matrix, wall_normal
 from scenegen.shapes import PRIMITIVES
 
@@ -135,7 +135,7 @@ def test_the_size_of_a_mesh_counts_as_it_is(tmp_path):
     for name, radius_m in (("ball", 1.0), ("box", np.sqrt(3))):
         hidden = {"shapes": [f"mesh:{name}.ply"], "composite_fraction": 0, "location_m": place}
         preset = at(20e6, hidden_object=hidden | {"size_m": {"mesh": 2.0}})
-        meshes = read_meshes(preset, tmp_path)
+        _, meshes = with_meshes(preset, tmp_path)
         centre_m = np.linalg.norm([1 + 1.3, 1 + 1.3, 1.65 - 1.3])  # of the camera's mirror image
         assert largest_mirrored_depth_m(preset, meshes) == pytest.approx(centre_m + radius_m, rel=1e-6)
         limit_hz = 299_792_458 / 2 / (centre_m + radius_m)

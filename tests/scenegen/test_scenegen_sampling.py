@@ -173,7 +173,7 @@ def test_a_preset_without_room_is_refused_by_reason(paper):
         ({"hidden_object": {"shapes": ["mesh:/home/me/bunny.ply"]}}, "relative to the preset's own folder"),
         ({"hidden_object": {"shapes": ["mesh:C:\\bunny.ply"]}}, "relative to the preset's own folder"),
         ({"hidden_object": {"size_m": {"mesh": 0.0}}}, "hidden_object.size_m.mesh"),
-        ({"hidden_object": {"shapes": ["cube"]}}, "two different shapes"),
+        ({"hidden_object": {"shapes": ["cube"]}, "object": [{"shape": "cube"}]}, "not both"),
         ({"hidden_object": {"shapes": ["cube", "cube"]}}, "twice"),
         ({"relay_wall": {"material": "velvet"}}, "relay_wall.material"),
         ({"relay_wall": {"roughness": [0.0]}}, "relay_wall.roughness"),

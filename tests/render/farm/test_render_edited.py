@@ -101,21 +101,13 @@ def test_a_hostile_scene_file_is_never_opened(unrendered, seven_renders, render_
         np.testing.assert_array_equal(measured(unrendered).channels[name], values)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"height": 18', '"height": 24', "its camera has 24x24 pixels, another shape than the 24x18"),
-        ('"reflectance": 1.0', '"reflectance": 0.5', "its hidden objects have different reflectances"),
-    ],
-)
-def test_a_scene_that_would_be_rendered_otherwise_than_it_says_is_refused(unrendered, old, new, words):
-    for scene_id in open_dataset(unrendered).ids():
-        file = unrendered / "scenes" / scene_id / "scene.json"
-        file.write_text(file.read_text().replace(old, new, 1))
+def test_a_scene_whose_camera_has_another_shape_is_refused(unrendered):
+    (scene_id, *_) = open_dataset(unrendered).ids()
+    file = unrendered / "scenes" / scene_id / "scene.json"
+    file.write_text(file.read_text().replace('"height": 18', '"height": 24', 1))
     renderer = Renderer(open_dataset(unrendered), RenderSettings(device="cpu", accept_edited=True))
-    composite = next(each.id for each in renderer.dataset.index.scenes if each.object_class == "composite")
-    with pytest.raises(NightError, match=words):
-        renderer.render(composite)
+    with pytest.raises(NightError, match="its camera has 24x24 pixels, another shape than the 24x18"):
+        renderer.render(scene_id)
 
 
 def test_an_edited_scene_is_rendered_as_it_is_when_that_is_accepted(unrendered, seven_renders, render_here):

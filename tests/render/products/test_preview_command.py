@@ -17,7 +17,7 @@ from itof import write_image
 from render.products.preview import meshes_in
 from render.settings import RenderError
 from scenegen import open_dataset
-from scenegen.making.meshes import read_meshes
+from scenegen.making.meshes import with_meshes
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_a_users_mesh_is_drawn_from_the_scenes_own_files(tmp_path):
     done = night_here("night-gen", "scenes", tmp_path / "rings", "--preset", tmp_path / "ring.toml")
     assert done.returncode == 0, done.stderr
     dataset = open_dataset(tmp_path / "rings")
-    original = read_meshes(dataset.preset, tmp_path)["mesh:ring.ply"]
+    original = with_meshes(dataset.preset, tmp_path)[1]["mesh:ring.ply"]
     (tmp_path / "ring.ply").unlink()
     found = meshes_in(dataset, dataset.ids())["mesh:ring.ply"]
     assert found.sha256 == original.sha256

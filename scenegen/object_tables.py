@@ -1,0 +1,118 @@
+"""The tables [[object]] of a preset: objects by file or shape, each with its own size, place and turn."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from pydantic import AfterValidator
+from pydantic.dataclasses import dataclass
+
+from disk.contract import STRICT
+from disk.preset_files import PresetError
+from disk.quantities import Extent, Length, Reflectance
+from scenegen.object_settings import LocationRanges, MetreRange, RotationRanges, ShapeSizes
+from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape, known_shape
+
+Unit = Literal["m", "cm", "mm"]
+UpAxis = Literal["y", "z"]
+METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+def _mesh_file(file: str) -> str:
+    known_shape(MESH_PREFIX + file)
+    return file
+
+
+def _primitive(shape: str) -> str:
+    if shape not in PRIMITIVES:
+        raise ValueError(f"no such shape: give {', '.join(PRIMITIVES)}, or a mesh by its file")
+    return shape
+
+
+@dataclass(frozen=True, config=STRICT)
+class Thing:
+    """A mesh file of the user, relative to the preset's folder, or a primitive; all else may be missing.
+
+    Attributes
+    ----------
+    size_m : longest side, metres; None for that of `ShapeSizes`.
+    unit : of the mesh's coordinates, in place of `size_m`. Whoever reads the mesh puts `size_m` in its place.
+    up : axis of the mesh that becomes the scene's z; None for z, and for y in a GLB file.
+    rotation_deg : as `HiddenObjectSettings.rotation_deg`, which None takes.
+    reflectance : times that of `HiddenObjectSettings`.
+    """
+
+    file: Annotated[str, AfterValidator(_mesh_file)] | None = None
+    shape: Annotated[str, AfterValidator(_primitive)] | None = None
+    size_m: Length | None = None
+    unit: Unit | None = None
+    up: UpAxis | None = None
+    rotation_deg: RotationRanges | None = None
+    reflectance: Reflectance = 1.0
+
+    def __post_init__(self) -> None:
+        if (self.file is None) == (self.shape is None):
+            raise ValueError("an object has either a file or a shape")
+        if self.file is None and (self.unit or self.up):
+            raise ValueError("unit and up are for a mesh file, not for a shape: give its size_m")
+        if self.unit and self.size_m is not None:
+            raise ValueError("give the unit of the mesh or its size_m, not both")
+
+    @property
+    def name(self) -> Shape:
+        """Its shape in scenes."""
+        return self.shape or f"{MESH_PREFIX}{self.file}"
+
+    def extent_m(self, sizes: ShapeSizes) -> Extent:
+        """Its extents as those of a hidden object of a scene.
+
+        Raises
+        ------
+        PresetError : they are those of a mesh that is not read yet.
+        """
+        if self.unit:
+            raise PresetError(
+                f"object {self.file} has its size from its mesh, which is not read here: give its size_m"
+            )
+        usual_m = sizes.of(self.name)
+        if self.size_m is None:
+            return usual_m
+        x, y, z = (side * self.size_m / max(usual_m) for side in usual_m)
+        return (x, y, z)
+
+
+@dataclass(frozen=True, config=STRICT)
+class OffsetRanges:
+    """Ranges of a place relative to another one, along the world axes, metres."""
+
+    x: MetreRange = (0.0, 0.0)
+    y: MetreRange = (0.0, 0.0)
+    z: MetreRange = (0.0, 0.0)
+
+
+@dataclass(frozen=True, config=STRICT)
+class BesideObject(Thing):
+    """An object that is in a scene with another one, whose centre its own is `offset_m` from."""
+
+    offset_m: OffsetRanges = OffsetRanges()
+
+
+@dataclass(frozen=True, config=STRICT)
+class ListedObject(Thing):
+    """An object, and those that are beside it in its scenes.
+
+    `location_m` is as `HiddenObjectSettings.location_m`, which None takes.
+    """
+
+    location_m: LocationRanges | None = None
+    beside: tuple[BesideObject, ...] = ()
+
+    @property
+    def things(self) -> tuple[Thing, ...]:
+        """The object itself, then those beside it."""
+        return (self, *self.beside)
+
+    @property
+    def class_name(self) -> str:
+        """Class of its scenes."""
+        return " + ".join(thing.name for thing in self.things)
