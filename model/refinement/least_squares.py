@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.light.corner_light import CornerLight, with_camera_at, with_wall_at
 from model.refinement.unknowns import Fitted, Unknown, changed, unknowns, within_reach
-from model.refinement.wall_brightness import walls_as_bright
+from model.refinement.wall_brightness import WallBrightness
 from scenegen.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -48,6 +48,7 @@ class Comparison:
     knows_camera : whether it is the relay wall that is moved, not the camera, so that the camera sees it
         where the measurement shows it.
     lacking : (P, F) what the light in the middles of blocks lacks near one candidate (`corrected`), or None.
+    brightness : of the relay walls; None: that of each candidate.
     """
 
     observed: HiddenLight
@@ -57,12 +58,20 @@ class Comparison:
     reflectance: float | None = 1.0
     knows_camera: bool = True
     lacking: NDArray[np.complex128] | None = None
+    brightness: WallBrightness | None = None
 
     def placed(self, candidate: Scene) -> Scene:
-        """The candidate with its relay wall where the measurement shows it from its camera."""
-        wall, camera = self._place.relay_wall, self._place.camera
-        wall = replace(candidate.relay_wall, location_m=wall.location_m, rotation_deg=wall.rotation_deg)
-        return replace(candidate, relay_wall=wall, camera=camera)
+        """The candidate with its relay wall where, and as bright as, the measurement shows it."""
+        wall, own = self._place.relay_wall, candidate.relay_wall
+        darkening = own.darkening if self.brightness is None else self.brightness.darkening(own.roughness)
+        own = replace(own, location_m=wall.location_m, rotation_deg=wall.rotation_deg, darkening=darkening)
+        return replace(candidate, relay_wall=own, camera=self._place.camera)
+
+    def as_bright(self, amplitude: Floats | None = None) -> Comparison:
+        """With walls as bright as an amplitude (P,) of the direct light shows, or that of the measurement."""
+        shown = self.observed.amplitude if amplitude is None else amplitude
+        found = WallBrightness.of(self._place, self.observed.rays, shown, self.light)
+        return replace(self, brightness=found)
 
     @cached_property
     def _place(self) -> Scene:
@@ -81,9 +90,7 @@ class Comparison:
         """With the relay wall that the measurement shows once the light of a candidate is taken out."""
         hidden = _hidden([(self, candidate)])[0][0]
         moved = replace(self, observed=self.observed.with_wall_behind(hidden))
-        amplitude = self.observed.amplitude / np.abs(1 + hidden[:, 0])
-        (wall,) = walls_as_bright([moved.placed(candidate)], self.observed.rays, amplitude, self.light)
-        return moved, replace(candidate, relay_wall=wall)
+        return moved.as_bright(self.observed.amplitude / np.abs(1 + hidden[:, 0])), candidate
 
     def unexplained(self, misfit: Floats) -> float:
         """Like `relative`, of the part of a misfit that is not noise."""

@@ -125,7 +125,7 @@ def refined(
     if sketch.is_empty:
         return None
     prior = Prior.of(Sketch.of(*shown, columns=_COLUMNS), expected_m)
-    search = Search(wide, close, sketch, prior, family)
+    search = Search(wide.as_bright(), close, sketch, prior, family)
     fits = search.fits(np.random.default_rng(seed))
     if not fits:
         return None

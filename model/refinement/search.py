@@ -15,7 +15,6 @@ from model.refinement.least_squares import Asked, Comparison, Fit, corrected, le
 from model.refinement.pairs import Pairs
 from model.refinement.sketch import Draws, Sketch
 from model.refinement.unknowns import Fitted
-from model.refinement.wall_brightness import walls_as_bright
 from scenegen.scene import HiddenObject, RelayWall, Scene
 from scenegen.shapes import Shape
 
@@ -25,7 +24,7 @@ _LIKELY: Final = 2.5  # so does one with less evidence against it
 _HOPELESS: Final = 40.0  # more evidence against a fit than against the best: it needs no finer grid
 _ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _FINE_STEPS, _WALLS = 6, 2
-_LONG, _LONG_STEPS = 2, 12  # fits of unknown sizes that go on, and their steps
+_LONG_STEPS: Final = 12  # of fits of unknown sizes that go on
 _LIBRARY: Final = 400  # solids of each shape of which pairs are made
 _AROUND: Final = 0.7  # how far each is from the middle, over the largest distance of two, at most
 # Pairs of which one solid is exchanged, for how many others, and how often: each time for other solids.
@@ -43,15 +42,19 @@ class _Singles:
 
 @dataclass(frozen=True)
 class _Funnel:
-    """How many of some fits take how many steps, one after the other; and how many move on finer grids."""
+    """How many of some fits take how many steps, one after the other; and how many move on finer grids.
+
+    With unknown sizes, the best of the last go on.
+    """
 
     steps: tuple[tuple[int, int], ...]
     polished: int
+    going_on: int
 
 
 _FIRST, _MORE = _Singles(300, 10, 4), _Singles(900, 120, 12)
-_OF_FIRST, _OF_MORE = _Funnel(((24, 3), (8, 10)), 3), _Funnel(((72, 4), (24, 6), (12, 10)), 6)
-_OF_PAIRS: Final = _Funnel(((60, 3), (24, 4), (8, 8)), 3)
+_OF_FIRST, _OF_MORE = _Funnel(((24, 3), (8, 10)), 3, 2), _Funnel(((72, 4), (24, 6), (12, 10)), 6, 6)
+_OF_PAIRS: Final = _Funnel(((60, 3), (24, 4), (8, 8)), 3, 2)
 _LIT_PAIRS, _LIT_LIKELY = 30, 150  # of each two shapes, and then of the likely ones
 _LIKELY_SHAPES: Final = 2  # pairs of shapes
 _Begin = Callable[[list[Fit]], list[Fit]]
@@ -107,12 +110,10 @@ class Search:
         return fit.unexplained <= _CERTAIN or self.prior.against([fit])[0] <= _LIKELY
 
     def _walls(self) -> list[RelayWall]:
-        """The relay wall as it may be: with each roughness, and as bright as the amplitudes show."""
-        corner, observed = self.sketch.corner, self.coarse.observed
-        wall = corner.relay_wall
+        """The relay wall as it may be: with each roughness."""
+        wall = self.sketch.corner.relay_wall
         rough = [None] if wall.roughness is None else _ROUGHNESS
-        corners = [replace(corner, relay_wall=replace(wall, roughness=each)) for each in rough]
-        return walls_as_bright(corners, observed.rays, observed.amplitude, self.coarse.light)
+        return [replace(wall, roughness=each) for each in rough]
 
     def _singles(self, effort: _Singles, walls: Sequence[RelayWall], rng: np.random.Generator) -> list[Fit]:
         """Starts of single solids, each with the wall that explains most."""
@@ -155,7 +156,7 @@ class Search:
             starts = corrected(_starts(fits)) if place and fits else _starts(fits)
             fits = least_misfits(starts, steps=steps, fitted=fitted, one_sided=are_pairs and place == 0)
             fits = self._sorted(fits) if are_pairs else _best_of_each_shape_first(self._sorted(fits))
-        return self._polished(fits[: funnel.polished])
+        return self._polished(fits[: funnel.polished], funnel.going_on)
 
     def _different(self, fits: Sequence[Fit], count: int) -> list[Fit]:
         """The first fits of which none is like another one."""
@@ -168,13 +169,16 @@ class Search:
                 chosen.append(place)
         return [fits[place] for place in chosen]
 
-    def _polished(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Minima of the fine comparison; with unknown sizes, the best go on: their valleys are long."""
-        against = self.prior.against(fits)
-        likely = [fit for fit, each in zip(fits, against, strict=True) if each < against.min() + _HOPELESS]
-        found = self._sorted(self._finer(likely, _FINE_STEPS))
-        more = _LONG if self.family.fits_sizes else 0
-        return [*self._finer(found[:more], _LONG_STEPS), *found[more:]]
+    def _polished(self, fits: Sequence[Fit], going_on: int) -> list[Fit]:
+        """Minima of the fine comparison; with unknown sizes, some go on: their valleys are long."""
+        if not self.family.fits_sizes:
+            against = self.prior.against(fits)
+            likely = [
+                fit for fit, each in zip(fits, against, strict=True) if each < against.min() + _HOPELESS
+            ]
+            return self._finer(likely, _FINE_STEPS)
+        found = self._sorted(self._finer(fits, _FINE_STEPS))
+        return [*self._finer(found[:going_on], _LONG_STEPS), *found[going_on:]]
 
     def _finer(self, fits: Sequence[Fit], steps: int) -> list[Fit]:
         """Fits with many nodes, and with the wall found again behind each solid."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,56 @@ from scenegen.scene import Darkening, RelayWall, Scene
 
 Floats = NDArray[np.float64]
 _DARKEST: Final = 0.02  # reflectance of a corner of a wall
+_ROUGHNESS: Final = tuple(round(0.05 * step, 2) for step in range(1, 21))
 _ROUNDS: Final = 4  # of the scale, which the small gloss has in it
+
+
+@dataclass(frozen=True)
+class WallBrightness:
+    """The darkening of a relay wall that an amplitude shows, by the roughness that the wall may have.
+
+    Attributes
+    ----------
+    reflectance : of the brightest corner.
+    falls : (R, 2) difference to that of the darkest one, along the direction of the fall.
+    """
+
+    reflectance: float
+    falls: Floats
+
+    @classmethod
+    def of(cls, corner: Scene, rays: Floats, amplitude: Floats, light: CornerLight) -> WallBrightness:
+        """Of the relay wall of a corner, by the amplitude (P,) along (P, 3) rays."""
+        wall = corner.relay_wall
+        rough = _ROUGHNESS if wall.roughness is not None else (None,)
+        corners = [replace(corner, relay_wall=replace(wall, roughness=each)) for each in rough]
+        found = walls_as_bright(corners, rays, amplitude, light)
+        return cls(wall.reflectance, np.array([_fall(each) for each in found]))
+
+    def darkening(self, roughness: float | None) -> Darkening | None:
+        """That of a wall with a roughness."""
+        x, y = self.falls.T
+        if roughness is None:
+            return _darkened(self.reflectance, float(x[0]), float(y[0]))
+        fall = (float(np.interp(roughness, _ROUGHNESS, each)) for each in (x, y))
+        return _darkened(self.reflectance, *fall)
+
+
+def _fall(wall: RelayWall) -> tuple[float, float]:
+    if wall.darkening is None:
+        return 0.0, 0.0
+    fallen, angle = (
+        wall.reflectance - wall.darkening.least_reflectance,
+        math.radians(wall.darkening.direction_deg),
+    )
+    return fallen * math.cos(angle), fallen * math.sin(angle)
+
+
+def _darkened(reflectance: float, x: float, y: float) -> Darkening | None:
+    fallen = math.hypot(x, y)
+    if fallen == 0:
+        return None
+    return Darkening(reflectance - fallen, math.degrees(math.atan2(y, x)) % 360)
 
 
 def walls_as_bright(
