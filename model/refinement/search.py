@@ -12,9 +12,11 @@ import numpy as np
 from model.refinement.evidence import Prior
 from model.refinement.family import Family
 from model.refinement.least_squares import Asked, Comparison, Fit, corrected, least_misfits
+from model.refinement.light.corner_light import vector
 from model.refinement.pairs import Pairs
 from model.refinement.sketch import Draws, Sketch
-from model.refinement.unknowns import Fitted
+from model.refinement.unknowns import Fitted, moved
+from scenegen.pose import wall_normal
 from scenegen.scene import HiddenObject, RelayWall, Scene
 from scenegen.shapes import Shape
 
@@ -25,6 +27,7 @@ _HOPELESS: Final = 40.0  # more evidence against a fit than against the best: it
 _ROUGHNESS: Final = (0.25, 0.4, 0.55, 0.75, 0.95)  # of the relay wall, to start with
 _FINE_STEPS, _WALLS = 6, 2
 _LONG_STEPS: Final = 12  # of fits of unknown sizes that go on
+_RESIZED: Final = (0.85, 0.92, 1.09, 1.18)  # other sizes of the best one, as its valley may be longer
 _LIBRARY: Final = 400  # solids of each shape of which pairs are made
 _AROUND: Final = 0.7  # how far each is from the middle, over the largest distance of two, at most
 # Pairs of which one solid is exchanged, for how many others, and how often: each time for other solids.
@@ -178,7 +181,11 @@ class Search:
             ]
             return self._finer(likely, _FINE_STEPS)
         found = self._sorted(self._finer(fits, _FINE_STEPS))
-        return [*self._finer(found[:going_on], _LONG_STEPS), *found[going_on:]]
+        found = self._sorted([*self._finer(found[:going_on], _LONG_STEPS), *found[going_on:]])
+        return [
+            *found,
+            *self._finer([_resized(each, by) for each in found[:1] for by in _RESIZED], _FINE_STEPS),
+        ]
 
     def _finer(self, fits: Sequence[Fit], steps: int) -> list[Fit]:
         """Fits with many nodes, and with the wall found again behind each solid."""
@@ -214,6 +221,19 @@ def _best_of_each_shape_first(fits: Sequence[Fit]) -> list[Fit]:
         later.append(solid.shape in seen)
         seen.add(solid.shape)
     return [fits[place] for place in np.argsort(later, kind="stable").tolist()]
+
+
+def _resized(fit: Fit, factor: float) -> Fit:
+    """With other sizes of its solids, whose surfaces stay as far from the relay wall."""
+    normal = wall_normal(fit.candidate.relay_wall)
+    solids = tuple(
+        moved(
+            replace(part, size_m=vector(factor * np.asarray(part.size_m))),
+            (factor - 1) / 2 * float(np.mean(part.size_m)) * normal,
+        )
+        for part in fit.candidate.hidden_objects
+    )
+    return replace(fit, candidate=replace(fit.candidate, hidden_objects=solids))
 
 
 def _two_solids(fits: Sequence[Fit]) -> list[Scene]:
