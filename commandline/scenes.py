@@ -102,7 +102,7 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
     refused.
     """
     from render.backend import BackendError
-    from render.batch.expected_light import COST_OF_A_NETWORK, NO_LIGHT, expected_light
+    from render.batch.expected_light import NO_LIGHT, expected_light
     from render.products.corner_facts import corner_facts
     from render.products.corner_figure import write_corner_figure
     from render.products.corner_page import write_corner_page
@@ -123,7 +123,10 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
     try:
         refuse_impossible_corner(settings, meshes)
         light = expected_light(settings, meshes)
-        said += [NO_LIGHT if light is None else light.sentence, COST_OF_A_NETWORK]
+        said.append(NO_LIGHT if light is None else light.sentence)
+        said.append(
+            f"a network: `night-train --for {preset} --out RUN` says first what error its time may give"
+        )
         found["hidden_light"] = None if light is None else light.as_data()
     except BackendError as error:
         said.append(f"hidden light: not computed, because {error}")

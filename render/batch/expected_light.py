@@ -28,10 +28,6 @@ _ERROR: Final = 0.04  # of the hidden light
 NO_LIGHT: Final = (
     "hidden light: not computed, because the projector is not at the camera, or the wall is too smooth"
 )
-COST_OF_A_NETWORK: Final = (  # docs/guide/training.md, Fresh scenes
-    "a network: in the paper's corner at 40x30 pixels, 16 CPU minutes of night-train --fresh gave 2.15 cm of "
-    "error; other corners and more pixels take longer"
-)
 
 
 @dataclass(frozen=True)

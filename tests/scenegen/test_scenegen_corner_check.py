@@ -93,7 +93,9 @@ def test_the_commands_and_python_refuse_them_before_they_write_anything(closed_f
     assert list(tmp_path.iterdir()) == [preset]
 
 
-@pytest.mark.parametrize("name", ["paper", "demo", "judge", "train", "any-corner", "judge-any-corner"])
+@pytest.mark.parametrize(
+    "name", ["paper", "demo", "judge", "train", "any-corner", "judge-any-corner", "generalist"]
+)
 def test_every_corner_of_the_presets_is_possible(name):
     """Also those of random cameras, as if each were the only one."""
     preset = load_preset(name)
