@@ -13,7 +13,7 @@ TABLE = [
     # night-gen
     (
         "night-gen scenes {out} --preset nowhere",
-        "no preset nowhere: give a .toml file or one of any-corner, demo, generalist, judge, judge-any-corner, paper",
+        "no preset nowhere: give a .toml file or one of any-corner, demo, generalist, judge, ",
     ),
     ("night-gen scenes {out} --preset {folder}", "no preset {folder}"),
     ("night-gen scenes {out} --preset ''", "no preset : give a .toml file"),
