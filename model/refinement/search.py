@@ -182,10 +182,9 @@ class Search:
             return self._finer(likely, _FINE_STEPS)
         found = self._sorted(self._finer(fits, _FINE_STEPS))
         found = self._sorted([*self._finer(found[:going_on], _LONG_STEPS), *found[going_on:]])
-        return [
-            *found,
-            *self._finer([_resized(each, by) for each in found[:1] for by in _RESIZED], _FINE_STEPS),
-        ]
+        resized = [_resized(each, by) for each in found[:1] for by in _RESIZED]
+        # Only the best of these is a candidate: all lie in one valley.
+        return [*self._sorted([*found[:1], *self._finer(resized, _FINE_STEPS)])[:1], *found[1:]]
 
     def _finer(self, fits: Sequence[Fit], steps: int) -> list[Fit]:
         """Fits with many nodes, and with the wall found again behind each solid."""

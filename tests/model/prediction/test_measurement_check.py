@@ -165,15 +165,3 @@ def test_darkness_cannot_be_forced_where_it_must_be_rescaled(seeing_run, phasors
     message = refusal("night-eval", "predict", seeing_run, npz, "--out", tmp_path / "out", "--force")
     assert "holds no light at the first frequency" in message
     assert not (tmp_path / "out").exists()
-
-
-def test_a_prediction_of_the_schema_before_is_replaced(seeing_run, exr, tmp_path):
-    out = tmp_path / "out"
-    predict_file(seeing_run, exr, out, device="cpu", progress=False, force=True)
-    before, record = {file: file.read_bytes() for file in out.iterdir()}, record_of(out)
-    old = {key: value for key, value in record.items() if key not in ("ignored", "findings")}
-    for image in old["images"]:
-        image.pop("wall")
-    (out / "prediction.json").write_text(json.dumps(old | {"schema_version": 1}))
-    predict_file(seeing_run, exr, out, device="cpu", progress=False, force=True)
-    assert {file: file.read_bytes() for file in out.iterdir()} == before
