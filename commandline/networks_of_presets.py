@@ -58,6 +58,8 @@ def make_network(
 
     need("report", ("jinja2", "plotly"), "the report of night-train --for")
     place = out.resolve()
+    if not place.name:
+        raise click.BadParameter(f"{out} has no name for the folders beside it", param_hint="--out")
     data, report = (place.with_name(f"{place.name}-{part}") for part in ("scenes", "report"))
     refuse_other_run(out, resume)
     camera = settings.augmentation.camera

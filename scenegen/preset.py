@@ -212,7 +212,11 @@ class Preset:
         if self.object and self.hidden_object.shapes != PRIMITIVES:
             raise ValueError("give hidden_object.shapes or tables [[object]], not both")
         self.hidden_object.refuse_sizes(
-            thing.size_m for each in self.object for thing in each.things if thing.size_m
+            side
+            for each in self.object
+            for thing in each.things
+            if thing.size_m and not thing.unit
+            for side in thing.extent_m(self.hidden_object.size_m)
         )
         ups = {(thing.name, thing.up) for each in self.object for thing in each.things}
         if len(ups) > len({name for name, _ in ups}):

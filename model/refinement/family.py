@@ -40,7 +40,9 @@ def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
     """
     hidden = preset.hidden_object
     listed = [thing for each in preset.object for thing in each.things if thing.shape]
-    known = {thing.name: thing.extent_m(hidden.size_m) for thing in listed}
+    extents_m = {(thing.name, thing.extent_m(hidden.size_m)) for thing in listed}
+    known = dict(sorted(extents_m))
+    has_one_size = hidden.has_one_size and len(known) == len(extents_m)
     known |= {shape: hidden.size_m.of(shape) for shape in preset.shapes if shape in {*PRIMITIVES} - {*known}}
     if not known:
         raise EvaluationError(
@@ -48,11 +50,12 @@ def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
         )
     are_alike = all(thing.reflectance == 1 for thing in listed)
     is_known = "reflectance" not in unknown and hidden.least_reflectance is None and are_alike
-    apart_m = max(map(abs, hidden.composite_offset_m)) if hidden.pair_fraction > 0 else None
+    largest = hidden.size_factor[1]
+    apart_m = largest * max(map(abs, hidden.composite_offset_m)) if hidden.pair_fraction > 0 else None
     if preset.object:
         offsets = [each.offset_m for listed in preset.object for each in listed.beside]
         apart_m = max((abs(end) for o in offsets for side in (o.x, o.y, o.z) for end in side), default=None)
-    fits_sizes = "sizes" in unknown or not hidden.has_one_size
+    fits_sizes = "sizes" in unknown or not has_one_size
     return Family(known, fits_sizes, hidden.reflectance if is_known else None, apart_m)
 
 

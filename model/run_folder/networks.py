@@ -212,4 +212,5 @@ def what_to_do(wanted: Wanted | None = None) -> str:
     if wanted is None:
         return make
     names: Iterable[str] = fitting(wanted)
-    return f"take {' or '.join(names)}, which fits" if names else make
+    fits = "which fits" if wanted.views else "with this size and these frequencies"
+    return f"take {' or '.join(names)}, {fits}" if names else make

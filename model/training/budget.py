@@ -131,6 +131,7 @@ def measured_speed(
             train_epoch(state, Path(folder), clock, interruption)
             trained_s = time.monotonic()
             validate(state, 0.0, lambda: None)
+            interruption.end()
             validation_s = time.monotonic() - trained_s
     speed = sum(clock.counts[1:]) / (clock.times_s[-1] - clock.times_s[0])
     start_s, start_cm = clock.times_s[0] - began_s, record.validation_mae_cm if start else None

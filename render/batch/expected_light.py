@@ -93,6 +93,9 @@ def expected_light(
     SamplingError : no scene fits the corner.
     BackendError : this machine cannot render on the requested device.
     """
+    hidden = preset.hidden_object
+    if hidden.empty_fraction < 1:
+        preset = replace(preset, hidden_object=replace(hidden, empty_fraction=0.0))
     camera, hz = preset.camera, preset.itof.frequencies_hz
     sides = (camera.width, camera.height)
     smaller = max(_LONGEST_SIDE / max(sides), min(1.0, _SHORTEST_SIDE / min(sides)))

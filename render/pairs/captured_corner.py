@@ -10,6 +10,7 @@ middle shows the same height of the relay wall.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -120,6 +121,7 @@ class CapturedCorner:
             f"rotation_deg = {_numbers(camera.rotation_deg)}  # ± {up_deg:.2f} up, ± {aside_deg:.2f} aside",
             "\n[itof]",
             f"frequencies_hz = {_numbers(self.preset.itof.frequencies_hz)}",
+            f"\n[relay_wall]\nsize_m = {_numbers(self.preset.relay_wall.size_m)}  # assumed",
             "\n[middle_wall]  # assumed",
             *(
                 f"{key} = {_numbers(getattr(middle, key))}"
@@ -301,6 +303,7 @@ def _corner(
             "width": view.width,
             "height": view.height,
         },
+        "relay_wall": {"size_m": _wide_enough(relay.size_m, view, place)},
         "middle_wall": {
             "size_m": [long_m, middle.size_m[1]],
             "location_m": _rounded([gap_m + long_m / 2, *middle.location_m[1:]], 4),
@@ -308,6 +311,14 @@ def _corner(
         },
         "hidden_object": {"location_m": region | {"y": sorted(sign * end for end in region["y"])}},
     }
+
+
+def _wide_enough(size_m: Sequence[float], view: Frustum, place: Sequence[float]) -> list[float]:
+    """Height and width of the relay wall at x = 0, at least those of the paper: it fills the image."""
+    rays = view.corner_rays()
+    towards = rays[rays[:, 0] < 0]
+    far_m = np.abs(place[1] + towards[:, 1] * place[0] / -towards[:, 0]).max()
+    return [size_m[0], max(size_m[1], math.ceil(2 * min(float(far_m), _MOST_SIDEWAYS * place[0])))]
 
 
 def _sideways(view: Frustum, sign: int) -> float:

@@ -160,7 +160,7 @@ def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str], *, rep
     if preset.dataset.count < count:
         raise DatasetError(
             f"{root} already holds {counted(count, 'scene')}, and {preset.dataset.count} is less: give "
-            f" --count {count} or more, or choose an empty folder"
+            f"--count {count} or more, or choose an empty folder"
         )
     for shape, sha256 in index.meshes.items():
         if meshes.get(shape) != sha256:
