@@ -36,6 +36,7 @@ from scenegen import Preset, preset_from_dict
 from scenegen.corner_geometry import Frustum, corners_of, distances_m
 from scenegen.pose import camera_axes
 from scenegen.sampling import walls_of
+from scenegen.scene import Wall
 
 Side = Literal["left", "right"]
 _LARGEST_STD_M: Final = 0.1  # of the distance; it hardly matters: itof.wall.empty_corner
@@ -303,7 +304,7 @@ def _corner(
             "width": view.width,
             "height": view.height,
         },
-        "relay_wall": {"size_m": _wide_enough(relay.size_m, view, place)},
+        "relay_wall": {"size_m": _large_enough(relay, view, place)},
         "middle_wall": {
             "size_m": [long_m, middle.size_m[1]],
             "location_m": _rounded([gap_m + long_m / 2, *middle.location_m[1:]], 4),
@@ -313,12 +314,13 @@ def _corner(
     }
 
 
-def _wide_enough(size_m: Sequence[float], view: Frustum, place: Sequence[float]) -> list[float]:
+def _large_enough(relay: Wall, view: Frustum, place: Sequence[float]) -> list[float]:
     """Height and width of the relay wall at x = 0, at least those of the paper: it fills the image."""
     rays = view.corner_rays()
     towards = rays[rays[:, 0] < 0]
-    far_m = np.abs(place[1] + towards[:, 1] * place[0] / -towards[:, 0]).max()
-    return [size_m[0], max(size_m[1], math.ceil(2 * min(float(far_m), _MOST_SIDEWAYS * place[0])))]
+    sideways = np.clip(towards[:, 1:] / -towards[:, :1], -_MOST_SIDEWAYS, _MOST_SIDEWAYS)
+    far_m = np.abs(np.array(place[1:]) - relay.location_m[1:] + sideways * place[0]).max(axis=0)  # y, z
+    return [max(size, float(math.ceil(2 * far))) for size, far in zip(relay.size_m, far_m[::-1], strict=True)]
 
 
 def _sideways(view: Frustum, sign: int) -> float:

@@ -241,3 +241,10 @@ def test_numbers_beyond_those_of_a_preset_are_refused_by_name(tmp_path):
     file = measured(tmp_path, view, returned(view))
     with pytest.raises(PresetError, match=r"empty.npz: middle_wall\.\w+"):
         captured_corner(file, gap_m=1e9)
+
+
+def test_the_wall_of_the_preset_fills_the_image_as_that_of_the_capture(tmp_path):
+    """Also where it is far, and the camera is turned along it: the paper's wall would end in the image."""
+    view = looking(28.0, 0.0, away_m=5.0)
+    found = captured_corner(measured(tmp_path, view, returned(view)))
+    assert corner_facts(found.preset).nothing == 0
