@@ -6,6 +6,7 @@ averaged along a line. Limits are in radians, at any frequency.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -20,7 +21,8 @@ _CLEARLY = 0.25  # what an explanation leaves of it
 _BREAK = 0.1  # step of a rolled image where the first line is,
 _ALONE = 5.0  # and over the step from its last line to the first, and over the median step
 _LEAST = 1e-3  # of a step
-_SEAM = 1e-5  # bend about a wall: less is rounding
+_SEAM = 1e-5  # bend about a wall: less is rounding,
+_OF_LIGHT = 0.04  # or an error of the hidden light that renders for a training may have
 _ABOVE_OTHERS = 3.5  # times the largest bend away from it; up to 2.6 in 200 images of two presets
 _FEWEST_OTHERS = 4
 _WHOLE = 0.5  # of the median weight of a line
@@ -46,6 +48,7 @@ def lines_in_disorder(phasor: Phasors) -> str:
 def seam(fit: RobustFit) -> str:
     """Where an image is put together of parts that do not fit each other; empty if nowhere."""
     weight = fit.weight * fit.fits
+    least = max(_SEAM, _OF_LIGHT * _rms(weight, fit.residual_rad))
     for axis, name in enumerate(_AXES):
         left, strength = np.moveaxis(fit.residual_rad, axis, 0), np.moveaxis(weight, axis, 0)
         bend = left[2:] - 2 * left[1:-1] + left[:-2]  # (n - 2, m, F)
@@ -60,9 +63,15 @@ def seam(fit: RobustFit) -> str:
         others = np.delete(size, slice(max(place - 1, 0), place + 2))
         if np.count_nonzero(others) < _FEWEST_OTHERS:
             continue
-        if size[place] > max(_SEAM, _ABOVE_OTHERS * others.max()):
+        if size[place] > max(least, _ABOVE_OTHERS * others.max()):
             return f"the phases have a seam near {name[:-1]} {place + 1}: shifted or foreign {name}?"
     return ""
+
+
+def _rms(weight: Floats, phases: Floats) -> float:
+    """Root mean square of phases (n, m, F) with weights (n, m)."""
+    power = float((weight[..., None] * phases**2).sum()) / phases.shape[-1]
+    return math.sqrt(power / max(float(weight.sum()), 1e-300))
 
 
 def _size(weight: Floats, bend: Floats) -> Floats:
