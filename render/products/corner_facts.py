@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from scenegen import Preset
 from scenegen.corner_geometry import Frustum, Points, corners_of, distances_m, lit_points, local
-from scenegen.depth_range import NO_MESHES, largest_mirrored_depth_m, largest_radius_m
+from scenegen.depth_range import NO_MESHES, boxes, largest_mirrored_depth_m, largest_radius_m
 from scenegen.sampling import projector_of, walls_of
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
+
+_TOUCHES_M: Final = 0.005  # nearer walls touch
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,10 @@ class CornerFacts:
         """The facts as text."""
         shares = (f"{100 * part:.0f} %" for part in (self.relay_wall, self.middle_wall, self.nothing))
         gap = f"the gap between the walls is {self.gap_m:.2f} m wide"
-        if self.gap_m < 0.005:
-            gap = f"the middle wall reaches {max(-self.gap_m, 0):.2f} m behind the plane of the relay wall"
+        if self.gap_m < _TOUCHES_M:
+            gap = f"the middle wall reaches {-self.gap_m:.2f} m behind the plane of the relay wall"
+        if abs(self.gap_m) < _TOUCHES_M:
+            gap = "the middle wall touches the plane of the relay wall"
         return (
             "of the image, {} show the relay wall, {} the middle wall, {} nothing".format(*shares),
             f"the camera is {self.camera_m:z.2f} m from the relay wall",
@@ -90,6 +94,6 @@ def corner_facts(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -
 
 def region_box(preset: Preset, margin_m: float = 0.0) -> Points:
     """(8, 3) corners of the region of hidden objects' centres, wider by a margin."""
-    place = preset.places_m
-    sides = ((low - margin_m, high + margin_m) for low, high in (place.x, place.y, place.z))
+    found = np.stack([box for box, _ in boxes(preset)])  # (N, 3, 2), also of objects beside others
+    sides = zip(found[..., 0].min(0) - margin_m, found[..., 1].max(0) + margin_m, strict=True)
     return np.array(list(product(*sides)))

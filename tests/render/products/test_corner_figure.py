@@ -17,7 +17,7 @@ from scenegen import load_preset, preset_from_dict
 def test_the_facts_of_the_corner_of_the_paper_are_those_of_its_geometry():
     facts = corner_facts(load_preset("paper"))
     assert (facts.camera_m, facts.gap_m) == pytest.approx((1.0, 0.7))
-    assert facts.region_m == pytest.approx((1.0, 1.3))
+    assert facts.region_m == pytest.approx((1.0 - 0.12, 1.3 + 0.15))  # with the second shapes of composites
     assert (facts.relay_wall, facts.middle_wall, facts.nothing) == (1, 0, 0)
     # The camera is 1 m away and sees 10 to 70 degrees beside the normal, less half a ray at the far end.
     reach_m = np.tan(np.radians(70)) - np.tan(np.radians(10))
@@ -48,7 +48,14 @@ def test_a_camera_that_looks_past_the_edge_of_a_wall_sees_nothing_there():
 
 def test_a_middle_wall_that_touches_the_relay_wall_leaves_no_gap():
     facts = corner_facts(preset_from_dict({"middle_wall": {"location_m": [1.65, 0.0, 2.0]}}, "test"))
-    assert "the middle wall reaches 0.00 m behind the plane of the relay wall" in facts.sentences
+    assert "the middle wall touches the plane of the relay wall" in facts.sentences
+
+
+def test_objects_beside_others_are_in_the_region_too():
+    beside = {"shape": "cube", "size_m": 0.2, "offset_m": {"x": 0.5}}
+    cube = {"shape": "cube", "size_m": 0.2, "beside": [beside]}
+    facts = corner_facts(preset_from_dict({"object": [cube]}, "test"))
+    assert facts.region_m == pytest.approx((1.0, 1.8))  # of the preset: 1.0 to 1.3
 
 
 def test_the_command_draws_a_corner_and_refuses_one_that_cannot_be_after_that(tmp_path, monkeypatch):
