@@ -82,10 +82,12 @@ def make_network(
 def _rendered(data: Path, preset: Preset, mesh_folder: Path, settings: TrainSettings) -> Dataset:
     """The dataset that scales and judges, whole."""
     from render import RunOptions, render_dataset, settings_for
-    from scenegen import make_dataset
+    from scenegen import make_dataset, open_dataset
 
     shown, scenes = settings.run.progress, replace(_SCENES, seed=preset.dataset.seed)
     judging = replace(preset, dataset=scenes)
+    if (data / "dataset.json").is_file() and open_dataset(data).preset != judging:
+        raise click.UsageError(f"{data} holds scenes of another preset: remove it, or choose another --out")
     dataset = make_dataset(data, judging, mesh_folder=mesh_folder, progress=shown)
     how = settings_for(dataset, {"product": "itof", "method": "batched", "device": settings.run.device})
     result = render_dataset(dataset, how, dataset.ids(), RunOptions(progress=shown), say)
@@ -105,7 +107,6 @@ def _planned(
 ) -> TrainSettings:
     """The settings with the epochs that the budget gives; says what to expect of them."""
     from model.training.budget import measured_speed
-    from model.training.expectation import expected_mae_cm
 
     if settings.run.progress:
         say("measuring how fast the training is")
@@ -114,20 +115,10 @@ def _planned(
         epochs, scenes = speed.epochs_in(budget_s)
         run = replace(settings.run, max_epochs=epochs, patience=epochs, epoch_scenes=scenes)
         settings = replace(settings, run=run)
-    samples = settings.run.max_epochs * settings.run.epoch_scenes
-    one_corner = dataset.preset.is_one_corner
-    once, twice = (
-        expected_mae_cm(times * samples, speed.no_object_cm, one_corner=one_corner, start_cm=speed.start_cm)
-        for times in (1, 2)
-    )
     found = "" if speed.start_cm is None else f"; before the training, it has {speed.start_cm:.1f} cm here"
     show(f"{why}{found}")
     show(_course(settings, speed))
-    light = "" if settings.augmentation.camera is None else " on light without the errors of a camera"
-    show(
-        f"expect an MAE of about {once:.1f} cm{light}, and {twice:.1f} cm after twice the time (no object: "
-        f"{speed.no_object_cm:.1f} cm)"
-    )
+    show(_expected(settings, speed, one_corner=dataset.preset.is_one_corner))
     return settings
 
 
@@ -151,6 +142,25 @@ def _judged(dataset: Dataset, run: Path, report: Path, settings: TrainSettings) 
     for warning in judged.warnings:
         say(f"warning: {warning}")
     return [judged.table, f"look at {report / 'index.html'}"]
+
+
+def _expected(settings: TrainSettings, speed: Speed, *, one_corner: bool) -> str:
+    """What error to expect, and after twice the time."""
+    from model.training.expectation import expected_mae_cm
+
+    samples = settings.run.max_epochs * settings.run.epoch_scenes
+    no_object = f"no object: {speed.no_object_cm:.1f} cm"
+    once, twice = (
+        expected_mae_cm(times * samples, speed.no_object_cm, one_corner=one_corner, start_cm=speed.start_cm)
+        for times in (1, 2)
+    )
+    if once is None or twice is None:
+        return f"nobody has measured what error so few samples leave ({no_object})"
+    light = "" if settings.augmentation.camera is None else " on light without the errors of a camera"
+    return (
+        f"expect an MAE of about {once:.1f} cm{light}, and {twice:.1f} cm after twice the time, as measured "
+        f"at 40x30 pixels ({no_object})"
+    )
 
 
 def _course(settings: TrainSettings, speed: Speed) -> str:

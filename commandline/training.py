@@ -88,7 +88,7 @@ def night_train(
     data, origin = model.training_preset(preset) if preset else ({}, "options")
     chosen = data, origin, given_settings(options, assignments)
     if wanted_for is not None:
-        _refuse_mixed(dataset, fresh, budget_s, options["run_max_epochs"])
+        _refuse_mixed(dataset, fresh)
         _train_for(wanted_for, out, resume, start_from, budget_s, chosen, as_json)
         return
     if dataset is None or budget_s is not None:
@@ -107,17 +107,32 @@ def night_train(
         tell([result.sentence(out)], {"run": str(out), **asdict(result)}, as_json)
 
 
-def _refuse_mixed(
-    dataset: Path | None, fresh: str | None, budget_s: float | None, max_epochs: int | None
-) -> None:
+def _refuse_mixed(dataset: Path | None, fresh: str | None) -> None:
     """Refuse what does not go with --for."""
     if dataset is not None or fresh is not None:
         other = "--fresh" if fresh is not None else "DATASET"
         raise click.UsageError(f"--for makes a dataset and trains on fresh scenes: leave {other} out")
-    if budget_s is not None and max_epochs is not None:
-        raise click.UsageError("--budget and --max-epochs both say how long to train: leave one out")
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise click.UsageError("--for works in one process: for torchrun, give its dataset and --fresh")
+
+
+def _budget_s(budget_s: float | None, chosen: Mapping[str, Any], resume: bool) -> float | None:
+    """The time of a training with --for; None if settings say how long it is.
+
+    Parameters
+    ----------
+    chosen : settings of the run that the user gives.
+    """
+    if resume and budget_s is not None:
+        raise click.UsageError("the run has its length already: --max-epochs makes it longer, not --budget")
+    if resume or "max_epochs" in chosen:
+        if budget_s is not None:
+            raise click.UsageError("--budget and run.max_epochs both say how long to train: leave one out")
+        return None
+    if own := sorted({"epoch_scenes", "patience"} & {*chosen}):
+        names = " and ".join(f"run.{each}" for each in own)
+        raise click.UsageError(f"the time of --for decides {names}: give --max-epochs, too, or leave it out")
+    return BUDGET_S if budget_s is None else budget_s
 
 
 def _train_for(
@@ -137,6 +152,7 @@ def _train_for(
     preset, meshes, folder = _preset_of_scenes(name)
     data, _, given = chosen
     resume = resume and (out / CONFIG_FILE).is_file()  # it may have been interrupted before the training
+    budget_s = _budget_s(budget_s, merged(data, given).get("run", {}), resume)
     before: dict[str, Any] = {}
     inherited: dict[str, Any] = {}
     why = f"the training starts from {start_from}"
@@ -158,8 +174,6 @@ def _train_for(
         if start_from is not None:
             inherited = merged(model.fine_tuning_settings(start_from), inherited)
     settings = _settings(before, inherited, *chosen)
-    if budget_s is None and given.get("run", {}).get("max_epochs") is None:
-        budget_s = BUDGET_S
     make_network(
         *(name, preset, meshes, folder, out, resume, start_from, budget_s, settings, why, as_json),
     )

@@ -20,22 +20,27 @@ CURVES: Final = {
 }
 
 
-def expected_mae_cm(samples: int, no_object_cm: float, *, one_corner: bool, start_cm: float | None) -> float:
+def expected_mae_cm(
+    samples: int, no_object_cm: float, *, one_corner: bool, start_cm: float | None
+) -> float | None:
     """The MAE over all pixels that a network probably has after so many fresh scenes, cm.
+
+    None for fewer than were measured.
 
     Parameters
     ----------
     no_object_cm : that of predicting no object.
     start_cm : of the network that the training starts from; None from new weights.
     """
-    share = _share(CURVES[one_corner, start_cm is not None], samples)
+    curve = CURVES[one_corner, start_cm is not None]
+    if samples < curve[0][0]:
+        return None
+    share = _share(curve, samples)
     return min(share * no_object_cm, no_object_cm if start_cm is None else start_cm)
 
 
 def _share(points: Sequence[tuple[int, float]], samples: int) -> float:
-    """The curve through points, by the segment that begins before so many samples, or the first one."""
-    segments = list(pairwise(points))
-    begun = [each for each in segments if each[0][0] <= samples] or segments[:1]
-    (n, share), (later, smaller) = begun[-1]
+    """The curve through points, by the last segment that begins before so many samples."""
+    (n, share), (later, smaller) = [each for each in pairwise(points) if each[0][0] <= samples][-1]
     exponent = log(share / smaller) / log(later / n)
     return float(share * (n / samples) ** exponent)

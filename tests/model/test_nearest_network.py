@@ -86,10 +86,10 @@ def test_the_expected_error_is_that_of_the_measured_points_and_falls_between_and
 
     for samples, share in CURVES[kind]:
         assert expected(samples) == pytest.approx(10.0 * share)
-    errors = [expected(samples) for samples in (4_096, 10_000, 16_384, 100_000, 10**6, 10**7)]
+    errors = [expected(samples) for samples in (16_384, 100_000, 10**6, 10**7)]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] > 0
-    assert expected(10) <= (100.0 if has_start else 10.0)
+    assert expected(CURVES[kind][0][0] - 1) is None  # nobody has measured so few
     if has_start:
         assert expected(20_000, start_cm=0.5) == 0.5  # never worse than the start
 
@@ -100,6 +100,12 @@ def test_the_expected_error_is_that_of_the_measured_points_and_falls_between_and
         (("--budget", "5"), "'5' is no time; write it like 90s, 30min or 2h"),
         (("--budget", "0min"), "'0min' is no time"),
         (("--budget", "1min", "--max-epochs", 3), "both say how long to train"),
+        (("--budget", "1min", "--set", "run.max_epochs=3"), "both say how long to train"),
+        (("--budget", "1min", "--preset", "demo"), "both say how long to train"),
+        (
+            ("--set", "run.patience=3", "--set", "run.epoch_scenes=9"),
+            "decides run.epoch_scenes and run.patience",
+        ),
         (("--fresh", "paper"), "leave --fresh out"),
         (("--set", "run.ground_truth=simulated"), "fresh scenes have no simulated ground truth"),
         (("--sensor", "mlx75027"), "the camera sees 60 degrees and the scenes of "),
