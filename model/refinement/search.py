@@ -177,7 +177,9 @@ class Search:
         if not self.family.fits_sizes:
             against = self.prior.against(fits)
             likely = [
-                fit for fit, each in zip(fits, against, strict=True) if each < against.min() + _HOPELESS
+                fit
+                for fit, each in zip(fits, against, strict=True)
+                if each < against.min(initial=np.inf) + _HOPELESS
             ]
             return self._finer(likely, _FINE_STEPS)
         found = self._sorted(self._finer(fits, _FINE_STEPS))

@@ -10,12 +10,13 @@ from itof.metrics import image_metrics
 from model.data.corner import wall_view
 from model.prediction.explanation import Explanation, FoundSolid
 from model.refinement.evidence import Prior
-from model.refinement.family import family_of
+from model.refinement.family import Family, family_of
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Fit, least_misfits
 from model.refinement.light.corner_light import CornerLight, known_corner
 from model.refinement.pairs import Pairs
 from model.refinement.refining import refined
+from model.refinement.search import _OF_PAIRS, Search
 from model.refinement.sketch import Draws, Sketch
 from model.refinement.unknowns import Fitted, moved
 from scenegen import Preset, preset_from_dict
@@ -198,3 +199,17 @@ def test_two_solids_are_found_from_a_depth_map_that_is_off(comparison, phasor, w
         found.depth_map.radial_depth_m, found.depth_map.mask, true.radial_depth_m, true.mask
     )
     assert metrics.depth_mae_m < 0.006  # two pixels at edges
+
+
+@pytest.mark.parametrize("fits_sizes", [False, True])
+def test_a_round_without_starts_finds_nothing(fits_sizes):
+    """As that of pairs where no two solids are near enough to each other."""
+    family = Family({"cube": (0.5, 0.5, 0.5)}, fits_sizes)
+    search = Search(None, None, None, Prior.of(None, None), family)  # nothing is compared
+    assert search._funnelled([], _OF_PAIRS) == []
+
+
+def test_a_shape_that_is_listed_in_two_sizes_has_an_unknown_one():
+    cubes = [{"shape": "cube", "size_m": size_m} for size_m in (0.3, 0.4)]
+    assert family_of(preset_from_dict({"object": cubes}, "a test"), ()).fits_sizes
+    assert not family_of(preset_from_dict({"object": cubes[:1]}, "a test"), ()).fits_sizes
