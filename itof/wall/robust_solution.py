@@ -1,6 +1,6 @@
 """Robust solution of the phases of one image, in numpy: it adapts to the image's errors, and states its own.
 
-Huber's weights for the first steps, then Tukey's biweight. `itof.wall.wall_phases` has the equation.
+The steps are those of `itof.wall.wall_phases`, with Huber's weights at first, then with Tukey's biweight.
 
 *Errors that are smooth over the image.* Light scattered in the lens, waves and hidden light bend the phases
 smoothly, so they do not average out as the noise of pixels does. What a fit leaves is therefore projected on
@@ -67,16 +67,15 @@ def robust_solution(
         if step < _SCALE_STEPS:  # slowly: a ridge that falls at once lets unknowns jump that hardly matter
             variance = np.sqrt(variance * _smooth_variance(problem, modes, residual, scale))
         ridge = (variance + _SMOOTH_RAD**2) * known
-        normal, right = problem.normal_equations(residual, weight)
-        right = right - ridge * np.concatenate([np.zeros(3), local.reshape(-1)])
-        inverse = _inverse(normal + np.diag(ridge))
-        change = inverse @ right
-        plane, local = plane + change[:3], local + change[3:].reshape(local.shape)
-        moved_m = np.abs(change[:3] @ problem.pixels.tangent(residual.depth_m)).max()
-        moved_rad = moved_m * problem.pixels.slope.max() + np.abs(change[3:]).max(initial=0.0)
+        before, before_rad = plane, local
+        plane, local = problem.step(plane, local, residual, weight, ridge)
+        moved_m = np.abs((plane - before) @ problem.pixels.tangent(residual.depth_m)).max()
+        moved_rad = moved_m * problem.pixels.slope.max() + np.abs(local - before_rad).max(initial=0.0)
         if step >= _SCALE_STEPS and (moved_rad < _SMALL_STEP_RAD or scale > _HOPELESS_RAD):
             break
     variance = _smooth_variance(problem, modes, residual, scale)
+    normal, _ = problem.normal_equations(residual, weight)
+    inverse = _inverse(normal + np.diag(ridge))
     stated = (variance + _STATED_RAD**2) * normal + np.diag((variance + _SMOOTH_RAD**2) * ridge)
     return plane, local, inverse @ stated @ inverse
 
@@ -130,7 +129,7 @@ def _share(times: Floats, *, tukey: bool) -> Floats:
 
 
 def _inverse(normal: Floats) -> Floats:
-    """Inverse of a normal matrix; unknowns that no phase depends on get a variance and a change of 0."""
+    """Inverse of a normal matrix; unknowns that no phase depends on get a variance of 0."""
     size = np.sqrt(np.abs(np.diag(normal)))  # unknowns of the same size: a better condition
     told = size > _NOTHING
     size = np.where(told, size, 1.0)

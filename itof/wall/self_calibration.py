@@ -15,10 +15,9 @@ weighted squares of all pixels is then nearly 0.
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import Final
 
-from array_api_compat import array_namespace, device
+from array_api_compat import array_namespace
 
 from itof.arrays import A, Array, PhasorsOf
 from itof.frequency_images import FrequencyImages, Slopes
@@ -33,7 +32,6 @@ from itof.wall.wall_phases import Residual, WallPhases, WallRays, by_pixel, four
 # those in the paper's have less.
 _WIDTHS_RAD: Final = (2.0, 2.0, 0.7, *(ELSEWHERE_RAD,) * 3)
 _FIRST_PIXELS: Final = 600  # of all steps but the last, evenly spread; about so many
-_RIDGE: Final = 1e-12  # of the normal matrix with a unit diagonal: an unknown that no pixel shows stays 0
 _DARKEST: Final = 1e-300  # of a wall without any return, which then has no weight
 
 
@@ -70,8 +68,7 @@ def calibrate(
     for step, width_rad in enumerate(_WIDTHS_RAD, 1):
         pixels = problem if step == len(_WIDTHS_RAD) else few
         residual = pixels.residual(plane, local)
-        change = _solved(xp, *pixels.normal_equations(residual, _weight(pixels, residual, width_rad)))
-        plane, local = plane + change[..., :3], local + xp.reshape(change[..., 3:], tuple(local.shape))
+        plane, local = pixels.step(plane, local, residual, _weight(pixels, residual, width_rad))
     plane, local = (xp.where(xp.isfinite(each), each, 0.0) for each in (plane, local))
     return WallFit(plane, local[..., 0], local[..., 1:] if wiggling else None)
 
@@ -111,12 +108,3 @@ def _weight(problem: WallPhases[A], residual: Residual[A], width_rad: float) -> 
     times = xp.clip(farthest / width_rad, max=1.0)
     share = (1 - times * times) * strength
     return problem.weight * (share * share)
-
-
-def _solved(xp: ModuleType, normal: A, right: A) -> A:
-    """Solutions (..., P) of normal equations (..., P, P), scaled to a unit diagonal."""
-    diagonal = xp.linalg.diagonal(normal)
-    size = xp.where(diagonal > 0, xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    scaled = normal / (size[..., :, None] * size[..., None, :])
-    ridge = _RIDGE * xp.eye(size.shape[-1], dtype=size.dtype, device=device(size))
-    return xp.linalg.solve(scaled + ridge, (right / size)[..., None])[..., 0] / size

@@ -12,8 +12,9 @@ linear in m, so dL = -L² r · dm. The unknowns are the plane (3) and, as option
 four-cycle error is a function. The unknowns follow by least squares over all pixels and frequencies; the step
 is repeated because L depends on the plane (Gauss-Newton).
 
-There are two ways to weight the pixels: `itof.wall.wall_fit` adapts to the noise of one image and estimates
-the errors, and `itof.wall.self_calibration` has the weights of a diffuse wall, the same for every image.
+`WallPhases.step` is the solver. There are two ways to weight the pixels: `itof.wall.robust_solution` adapts
+to the noise of one image and knows how large its errors may be, and `itof.wall.self_calibration` has the
+weights of a diffuse wall, the same for every image.
 Arrays may be of numpy or of any other library that supports the array API standard with linear algebra.
 """
 
@@ -32,6 +33,7 @@ from itof.frequency_images import FrequencyImages
 from itof.wall.expected_wall import ExpectedWall, depth_or_else, inverse_depth_of_plane
 
 _BLOCK: Final = 1024  # pixels that a matrix product sums
+_RIDGE: Final = 1e-12  # of the normal matrix with a unit diagonal: an unknown that no pixel shows stays 0
 
 
 @dataclass(frozen=True)
@@ -157,11 +159,28 @@ class WallPhases(Generic[A]):
         left = left - 2 * math.pi * xp.round(left / (2 * math.pi))
         return Residual(xp.astype(left, xp.float64), depth_m, meets)
 
-    def normal_equations(self, residual: Residual[A], weight: A) -> tuple[A, A]:
-        """Matrix (..., P, P) and right side (..., P) for a step of the P = 3 + F Q unknowns.
+    def step(
+        self, plane: A, local: A, residual: Residual[A], weight: A, known: A | None = None
+    ) -> tuple[A, A]:
+        """Plane and local unknowns after one Gauss-Newton step from those that have this residual.
 
-        `weight` (..., G, n) is that of each phase.
+        `weight` (..., G, n) is that of each phase, `known` (P,) that of the knowledge that an unknown is 0.
         """
+        xp, shape = self.xp, tuple(local.shape)
+        normal, right = self.normal_equations(residual, weight)
+        if known is not None:
+            values = xp.concat([plane, xp.reshape(local, (*shape[:-2], -1))], axis=-1)
+            normal = normal + known * xp.eye(known.shape[-1], dtype=known.dtype, device=device(known))
+            right = right - known * values
+        diagonal = xp.linalg.diagonal(normal)
+        size = xp.where(diagonal > 0, xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 1.0)
+        scaled = normal / (size[..., :, None] * size[..., None, :])
+        ridge = _RIDGE * xp.eye(size.shape[-1], dtype=size.dtype, device=device(size))
+        change = xp.linalg.solve(scaled + ridge, (right / size)[..., None])[..., 0] / size
+        return plane + change[..., :3], local + xp.reshape(change[..., 3:], shape)
+
+    def normal_equations(self, residual: Residual[A], weight: A) -> tuple[A, A]:
+        """Matrix (..., P, P) and right side (..., P) for a `step` of the P = 3 + F Q unknowns."""
         xp, basis, left = self.xp, self.basis, residual.left
         k = xp.astype(self.pixels.slope, xp.float64)[..., None]  # (F, 1, 1)
         shape, (frequencies, count) = left.shape[:-2], (left.shape[-2], basis.shape[-2])
