@@ -42,8 +42,8 @@ def network_channels(phasor: PhasorsOf[Array], amplitude_scale: float) -> Channe
     xp, z = _phasors(phasor)
     _check_scale(amplitude_scale)
     magnitude = xp.abs(z[..., :1])  # (..., H, W, 1)
-    ratio = quotient(xp, z, magnitude)  # (..., H, W, F)
-    return _image_axes_last(xp, [magnitude / amplitude_scale, xp.real(ratio), xp.imag(ratio)])
+    direction = quotient(xp, z, magnitude)  # (..., H, W, F)
+    return _image_axes_last(xp, [magnitude / amplitude_scale, xp.real(direction), xp.imag(direction)])
 
 
 def phasors_of_channels(channels: ChannelsOf[Array], amplitude_scale: float) -> PhasorsOf[Array]:

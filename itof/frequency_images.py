@@ -17,7 +17,7 @@ from array_api_compat import array_namespace
 
 from itof.arrays import A, PhasorsOf
 
-LARGEST_RATIO: Final = 200.0  # difference of log amplitudes; that to a pixel without light is larger
+LARGEST_LOG_STEP: Final = 200.0  # difference of log amplitudes; that to a pixel without light is larger
 _LEAST: Final = 1e-300  # square of an amplitude
 Slopes: TypeAlias = tuple[A, A]  # per pixel, along W and along H
 

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Literal, get_args
 
 from itof.arrays import A, Array, PhasorsOf, PixelsOf
-from itof.frequency_images import LARGEST_RATIO, FrequencyImages, Slopes, dot, slopes
+from itof.frequency_images import LARGEST_LOG_STEP, FrequencyImages, Slopes, dot, slopes
 
 SubpixelWeights = Literal["measured", "uniform"]
 # Neighbours that differ in brightness by more than this factor belong to different surfaces: the edge of a
@@ -52,9 +52,9 @@ def weighted_reference(reference: PhasorsOf[A], amplitude: PixelsOf[Array]) -> P
     xp = images.xp
     seen = xp.astype(xp.asarray(amplitude), images.real.dtype)[..., None, :, :]  # (..., 1, H, W)
     weights = brightness_slopes(images.first, FrequencyImages(xp, seen, xp.zeros_like(seen)))
-    log_amplitude = slopes(xp, images.log_amplitude, LARGEST_RATIO)
+    log_amplitude = slopes(xp, images.log_amplitude, LARGEST_LOG_STEP)
     # A pixel without light has no phase: one that is too far from all others to be compared with them.
-    phase = xp.where(images.log_amplitude > -LARGEST_RATIO, images.phase, 4 * _ANY_PHASE)
+    phase = xp.where(images.log_amplitude > -LARGEST_LOG_STEP, images.phase, 4 * _ANY_PHASE)
     phase = slopes(xp, phase, _ANY_PHASE, period=2 * math.pi)
     real, imaginary = (dot(weights, each) / 12 for each in (log_amplitude, phase))
     return images.times(1 + real, imaginary)

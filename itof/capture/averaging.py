@@ -72,9 +72,9 @@ def average(
     direction = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)
     drift, brightness, across = [], [], np.zeros(mean.shape)
     for weight, z in zip(weights, frames(), strict=True):
-        ratio = np.einsum("hwf,hwf->f", z, mean.conj()) / np.where(power > 0, power, 1.0)
-        drift.append(np.angle(ratio))
-        brightness.append(np.where(power > 0, np.abs(ratio), 1.0))
+        gain = np.einsum("hwf,hwf->f", z, mean.conj()) / np.where(power > 0, power, 1.0)
+        drift.append(np.angle(gain))
+        brightness.append(np.where(power > 0, np.abs(gain), 1.0))
         across += weight * (z * np.exp(-1j * drift[-1]) * direction.conj()).imag ** 2
     for place, frequency_hz in enumerate(frequencies_hz):
         _refuse_mixed(np.array(brightness)[:, place], f"{source}: at {megahertz(frequency_hz)}")

@@ -220,5 +220,5 @@ class _Cameras:
 def _log_ratio(xp: ModuleType, seen: A, true: A) -> A:
     """log(seen / true), 0 where there is no light."""
     lit = true != 0
-    ratio = xp.where(lit, seen, xp.ones_like(seen)) / xp.where(lit, true, xp.ones_like(true))
-    return xp.log(xp.abs(ratio)) + 1j * xp.atan2(xp.imag(ratio), xp.real(ratio))
+    quotient = xp.where(lit, seen, xp.ones_like(seen)) / xp.where(lit, true, xp.ones_like(true))
+    return xp.log(xp.abs(quotient)) + 1j * xp.atan2(xp.imag(quotient), xp.real(quotient))

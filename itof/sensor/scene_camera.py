@@ -105,6 +105,6 @@ def hidden_snr(camera: BinnedCamera, phasor: Phasors, hidden: Phasors) -> tuple[
     if not (spread > 0).any():
         return float("inf"), float("inf")
     seen = camera.passed(hidden)
-    ratio = np.divide(np.abs(seen), spread, out=np.zeros(seen.shape), where=spread > 0)
-    whole = float(np.sqrt((ratio**2).sum()))
-    return whole / float(np.sqrt(2 * ratio.size)), whole
+    over_noise = np.divide(np.abs(seen), spread, out=np.zeros(seen.shape), where=spread > 0)
+    whole = float(np.sqrt((over_noise**2).sum()))
+    return whole / float(np.sqrt(2 * over_noise.size)), whole

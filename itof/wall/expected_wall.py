@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from itof.arrays import A, B, Floats, Phasors, PhasorsOf, PixelsOf
 from itof.direct import direct_phasors
-from itof.frequency_images import LARGEST_RATIO, FrequencyImages, Slopes, frequencies_first, slopes
+from itof.frequency_images import LARGEST_LOG_STEP, FrequencyImages, Slopes, frequencies_first, slopes
 from itof.light import phase_per_metre
 from itof.pinhole import pixel_rays
 
@@ -167,7 +167,7 @@ class ExpectedWall(Generic[A]):
         first = self.images.first
         xp, depth_m = first.xp, self.radial_depth_m[..., None, :, :]
         depth_m = xp.astype(xp.clip(depth_m, max=3 * _FARTHEST_M), first.real.dtype)
-        return slopes(xp, first.log_amplitude, LARGEST_RATIO), slopes(xp, depth_m, _FARTHEST_M)
+        return slopes(xp, first.log_amplitude, LARGEST_LOG_STEP), slopes(xp, depth_m, _FARTHEST_M)
 
     @cached_property
     def slope(self) -> Floats:

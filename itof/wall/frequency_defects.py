@@ -19,7 +19,7 @@ from itof.wall.wall_fit import RobustFit
 _TRIED: Final = 5e-6  # mismatch of a fit from which another frequency is tried: 3 mrad
 _PIXELS = 600  # that decide, about
 _LARGEST = 20.0  # ratio of frequencies
-_RATIOS = np.concatenate([sign * np.geomspace(0.1, _LARGEST, 1000) for sign in (1, -1)])
+_SLOPES = np.concatenate([sign * np.geomspace(0.1, _LARGEST, 1000) for sign in (1, -1)])
 _LINE: Final = 1e-3  # mismatch of a straight line: 45 mrad
 _APART = 0.02  # of the logarithm of a ratio: less is the error of a camera's waves
 
@@ -75,16 +75,16 @@ def _scales(
     """
     first = int(np.argmin(frequencies_hz))
     turn = np.exp(1j * np.angle(pixels))
-    waves = np.exp(-1j * np.outer(_RATIOS, angle)) * weight  # (R, n)
+    waves = np.exp(-1j * np.outer(_SLOPES, angle)) * weight  # (R, n)
     scale, left = np.ones(len(frequencies_hz)), [0.0]
     for place, frequency_hz in enumerate(frequencies_hz):
         if place == first:
             continue
-        ratio = float(_RATIOS[np.abs(waves @ turn[:, place]).argmax()])
-        apart = turn[:, place] * np.exp(-1j * ratio * angle)
+        slope = float(_SLOPES[np.abs(waves @ turn[:, place]).argmax()])
+        apart = turn[:, place] * np.exp(-1j * slope * angle)
         apart = np.angle(apart * (weight @ apart).conj())
-        ratio += float((weight * angle) @ apart / max((weight * angle) @ angle, 1e-300))
-        apart = turn[:, place] * np.exp(-1j * ratio * angle)
-        left.append(float(1 - abs(weight @ apart)) if ratio > 0 else 1.0)
-        scale[place] = abs(ratio) * frequencies_hz[first] / frequency_hz
+        slope += float((weight * angle) @ apart / max((weight * angle) @ angle, 1e-300))
+        apart = turn[:, place] * np.exp(-1j * slope * angle)
+        left.append(float(1 - abs(weight @ apart)) if slope > 0 else 1.0)
+        scale[place] = abs(slope) * frequencies_hz[first] / frequency_hz
     return scale, max(left)

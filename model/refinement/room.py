@@ -16,7 +16,7 @@ from scenegen.scene import Camera, Scene
 
 _ELSEWHERE_M = 100.0  # behind the camera: a middle wall that hides nothing
 _FARTHEST_M = 100.0  # along a ray, of what is seen of a wall
-_OTHER_DEG, _OTHER_RATIO = 30.0, 1.5  # of the wall in the room and in the measurement
+_OTHER_DEG, _OTHER_TIMES = 30.0, 1.5  # of the wall in the room and in the measurement
 
 
 class RoomError(NightError):
@@ -81,8 +81,8 @@ def _refuse_other_wall(scene: Scene, plane_per_m: Floats) -> None:
         )
     shown_m = 1 / float(np.linalg.norm(plane_per_m))
     turned_deg = math.degrees(math.acos(float(np.clip(towards @ plane_per_m * shown_m, -1, 1))))
-    ratio = max(abs(gap_m) / shown_m, shown_m / max(abs(gap_m), 1e-9))
-    if turned_deg > _OTHER_DEG or ratio > _OTHER_RATIO:
+    times = max(abs(gap_m) / shown_m, shown_m / max(abs(gap_m), 1e-9))
+    if turned_deg > _OTHER_DEG or times > _OTHER_TIMES:
         raise RoomError(
             f"the room has its relay wall {abs(gap_m):.2f} m from the camera, the measurement shows it at "
             f"{shown_m:.2f} m and turned by {turned_deg:.0f} degrees against that: is it another room?"

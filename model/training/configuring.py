@@ -51,9 +51,9 @@ def configure(
                 reference=chosen.reference,
                 view=wall_view(dataset),
             )
-        ratio = before.background_per_object if before else None
-        if settings.balances_dataset and ratio is None:
-            ratio = background_per_object(shards, rows)
+        balance = before.background_per_object if before else None
+        if settings.balances_dataset and balance is None:
+            balance = background_per_object(shards, rows)
         depth_m = before.object_depth_m if before else start.config.object_depth_m if start else None
         if settings.predicts_probability and depth_m is None:
             depth_m = object_depth_m(shards, rows)
@@ -74,7 +74,7 @@ def configure(
         data_sha256=manifest.data_sha256,
         night_version=version("night-nlos"),
         run_id=ZEROS,
-        background_per_object=ratio if settings.balances_dataset else None,
+        background_per_object=balance if settings.balances_dataset else None,
         object_depth_m=depth_m if settings.predicts_probability else None,
         started_from=before.started_from if before else start.origin if start else None,
         fresh=fresh,

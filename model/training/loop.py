@@ -231,13 +231,13 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
             bar.set_description(f"epoch {len(state.history) + 1}", refresh=False)
             train_loss = train_epoch(state, out, bar, interruption)
             record = validate(state, train_loss, lambda: save_if_due(state, out, interruption))
-            notes: dict[str, object] = {
+            values: dict[str, object] = {
                 "train": f"{record.train_loss:.4f}",
                 "validation": f"{record.validation_loss:.4f}",
             }
             if state.config.fresh is not None:
-                notes["waiting"] = f"{state.feeds['train'].waiting_share:.0%}"
-            bar.set_postfix(refresh=True, **notes)
+                values["waiting"] = f"{state.feeds['train'].waiting_share:.0%}"
+            bar.set_postfix(refresh=True, **values)
             state.finish_epoch(record)
             if is_first:
                 state.save_results(out, weights=state.best is record)

@@ -106,8 +106,8 @@ class UncertaintyFit:
         self._logits.add(output[:, 0], mask)
         if self.readout.has_uncertainty:
             actual = (output[:, 1] - self.readout.standardised(radial_depth_m)).abs()
-            ratio = (actual / log_error(output).exp())[mask > 0].double()
-            self._errors += torch.stack([ratio.sum(), ratio.new_tensor(len(ratio))])
+            over_expected = (actual / log_error(output).exp())[mask > 0].double()
+            self._errors += torch.stack([over_expected.sum(), over_expected.new_tensor(len(over_expected))])
 
     def result(self, total: Callable[[Tensor], Tensor]) -> UncertaintyFactors:
         """The factors.
@@ -119,6 +119,6 @@ class UncertaintyFit:
         ----------
         total : sum of a tensor over the processes.
         """
-        ratios, pixels = total(self._errors).tolist()
-        factor = ratios / pixels if ratios > 0 else 1.0
+        over_expected, pixels = total(self._errors).tolist()
+        factor = over_expected / pixels if over_expected > 0 else 1.0
         return UncertaintyFactors(logit_factor(total(self._logits.sums)), factor)

@@ -137,11 +137,11 @@ def plan_run(
 
 def _with_errors(result: RunResult, dataset: Dataset) -> RunResult:
     """The result with the errors that ``rendering.json`` has."""
-    note = dataset.rendering
-    if note is None:
+    record = dataset.rendering
+    if record is None:
         return result
-    wanted = None if note.options.get("lights") else note.options.get("error")
-    return replace(result, hidden_error_max=note.hidden_error_max, wanted_error=wanted)
+    wanted = None if record.options.get("lights") else record.options.get("error")
+    return replace(result, hidden_error_max=record.hidden_error_max, wanted_error=wanted)
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ def _work(
     with connection as client, showing_progress(len(todo), "scene", "render", show=options.progress) as bar:
         inventory, failed = Inventory(dataset, settings), 0
 
-        def note(outcome: Outcome, final: bool) -> None:
+        def count(outcome: Outcome, final: bool) -> None:
             nonlocal failed
             log_outcome(outcome, final)
             if final:
@@ -266,7 +266,7 @@ def _work(
                 if record is not None:
                     inventory.remember(outcome.scene_id, record)
 
-        queue = RenderQueue(client, dataset, settings, run_id, note, options.growth_bytes, say=say)
+        queue = RenderQueue(client, dataset, settings, run_id, count, options.growth_bytes, say=say)
         if options.cluster_file is not None:
             queue.patience_s, queue.submissions = None, submissions
         try:

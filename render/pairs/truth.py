@@ -124,10 +124,12 @@ def wall_offsets_rad(corner: Phasors, wall: ExpectedWall) -> NDArray[np.float64]
     direct = np.asarray(wall.direct)
     if not corner.any():
         raise MirrorError("the measurement holds no light: capture it again")
-    ratio = corner * np.conj(direct) / np.maximum(np.abs(direct), 1e-300)  # (H, W, F)
-    offsets = np.angle(ratio.sum(axis=(0, 1)))
-    left = np.angle(ratio * np.exp(-1j * offsets))
-    scatter_rad = np.sqrt((left**2 * np.abs(ratio)).sum(axis=(0, 1)) / np.abs(ratio).sum(axis=(0, 1)))
+    over_direct = corner * np.conj(direct) / np.maximum(np.abs(direct), 1e-300)  # (H, W, F)
+    offsets = np.angle(over_direct.sum(axis=(0, 1)))
+    left = np.angle(over_direct * np.exp(-1j * offsets))
+    scatter_rad = np.sqrt(
+        (left**2 * np.abs(over_direct)).sum(axis=(0, 1)) / np.abs(over_direct).sum(axis=(0, 1))
+    )
     if not scatter_rad.max() <= _OTHER_RAD:
         raise MirrorError(
             f"the phases of the wall scatter by {scatter_rad.max():.2f} rad about those of the preset's: "

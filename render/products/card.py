@@ -18,7 +18,7 @@ from disk.counted import counted
 from disk.frequency_text import megahertz
 from disk.plain_file import read_plain
 from itof import DEPTH_CHANNEL, MASK_CHANNEL, combined_range_m
-from render.products.distributions import SPLITS, Distributions, ratio_sentence, size_text
+from render.products.distributions import SPLITS, Distributions, balance_sentence, size_text
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, TRANSIENT_FILE, Dataset, Preset
 
 CARD_FILE = "README.md"
@@ -168,7 +168,7 @@ def _facts(dataset: Dataset, found: Distributions) -> list[tuple[str, str]]:
     return [
         ("images", f"{asked}, {rendered}; horizontal field of view {_fov_text(preset)}"),
         ("frequencies", f"{hertz}; unambiguous over {unambiguous_m:.2f} m of depth"),
-        ("pixels", ratio_sentence(found)),
+        ("pixels", balance_sentence(found)),
         *([] if dataset.is_measured else of_light),
         ("disk used", ", ".join(f"{name} {size(count)}" for name, count in _disk(dataset.root))),
     ]

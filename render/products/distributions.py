@@ -51,7 +51,7 @@ class Distributions:
     image_sizes: tuple[tuple[int, int], ...]
 
     @property
-    def background_ratio(self) -> float | None:
+    def background_per_object(self) -> float | None:
         """Background pixels per object pixel in all rendered scenes; None without object pixels."""
         on_object, all_pixels = sum(self.object_pixels.values()), sum(self.image_pixels.values())
         return (all_pixels - on_object) / on_object if on_object else None
@@ -120,12 +120,12 @@ def distributions_figure(found: Distributions, preset: Preset) -> Figure:
     return figure
 
 
-def ratio_sentence(found: Distributions) -> str:
+def balance_sentence(found: Distributions) -> str:
     """The ratio of background to object pixels, with that of the authors' released code, as text."""
     if not found.object_pixels:
         return "no scene is rendered yet"
-    ratio = found.background_ratio
-    said = "no object pixel" if ratio is None else f"background/object {ratio:.1f}"
+    per_object_pixel = found.background_per_object
+    said = "no object pixel" if per_object_pixel is None else f"background/object {per_object_pixel:.1f}"
     return f"{said} (released code: {RELEASED_BACKGROUND_RATIO})"
 
 
@@ -180,7 +180,7 @@ def _draw_classes(panel: Axes, found: Distributions) -> None:
 
 
 def _draw_object_pixels(panel: Axes, found: Distributions) -> None:
-    panel.set_title(ratio_sentence(found), fontsize=9)
+    panel.set_title(balance_sentence(found), fontsize=9)
     if not found.object_pixels:
         panel.set_xlabel("object pixels")
         _say(panel, "no scene is rendered yet")

@@ -45,8 +45,8 @@ def test_a_run_and_its_plan_as_json(three_missing, render_here):
     assert found["settings"]["size"] == [24, 18]
     assert found["renders"] == str(three_missing / "renders")
     assert "1 scene rendered, 1 were there already" in done.stderr
-    note = json.loads((three_missing / "renders" / "rendering.json").read_text())
-    assert found["hidden_error_max"] == note["hidden_error_max"] <= note["options"]["error"] == 0.05
+    record = json.loads((three_missing / "renders" / "rendering.json").read_text())
+    assert found["hidden_error_max"] == record["hidden_error_max"] <= record["options"]["error"] == 0.05
     assert "asked for" not in done.stderr
 
 

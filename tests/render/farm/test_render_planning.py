@@ -81,7 +81,7 @@ def test_spans_of_time_read_as_people_say_them(seconds, words):
 
 def test_settings_survive_the_way_through_rendering_json(dataset):
     given = RenderSettings(product="both", options=PathOptions(spp=7), resolution=(32, 24))
-    note = RenderingRecord(
+    record = RenderingRecord(
         method=given.method,
         product=given.product,
         max_bounces=given.bounces(dataset),
@@ -93,7 +93,7 @@ def test_settings_survive_the_way_through_rendering_json(dataset):
         hidden_error_median=None,
         hidden_error_max=None,
     )
-    assert settings_of(note, dataset) == given
+    assert settings_of(record, dataset) == given
 
 
 @pytest.mark.parametrize("bounces", [0, -1, 65])

@@ -13,7 +13,7 @@ from previews import grey_view
 
 from render.products.card import CardError, EarlierCard, checked_licence, dataset_card, read_card
 from render.products.croissant import CROISSANT_FILE, croissant, has_no_other_croissant
-from render.products.distributions import ratio_sentence, read_distributions
+from render.products.distributions import balance_sentence, read_distributions
 from render.products.preview import check_preview, write_preview
 from scenegen import Dataset, RenderingRecord, open_dataset, write_rendering_record
 from scenegen.dataset import MEASURED_GENERATOR
@@ -48,7 +48,7 @@ def test_the_cards_numbers_are_the_datasets(corners):
     assert "median 1.23%, at most 4.56%" in card
     assert "method many-light (lights 64, error 0.01), product itof" in card
     assert "mitsuba 3.9.9" in card
-    assert ratio_sentence(found) in card
+    assert balance_sentence(found) in card
     size = sum(f.stat().st_size for f in (corners.root / "renders").rglob("*") if f.is_file())
     unit = 1000 if size < 999_500 else 1_000_000
     assert f"renders {size / unit:.3g} {'kB' if unit == 1000 else 'MB'}" in card

@@ -12,7 +12,7 @@ from render_records import record_anew
 
 from itof import amplitude, direct_phasors, phase, read_image, write_image
 from render.products.contact_sheet import choose_scenes, contact_sheet
-from render.products.distributions import distributions_figure, ratio_sentence, read_distributions
+from render.products.distributions import balance_sentence, distributions_figure, read_distributions
 from render.products.tiles import class_name, read_tile
 from scenegen import camera_axes, wall_normal
 
@@ -100,10 +100,10 @@ def test_the_pixel_ratio_is_that_of_the_masks(corners):
     assert len(steps) == 9
     masks = [read_image(corners.render_folder(i) / "mirrored.exr").channel("mask.M") for i in RENDERED]
     background, on_object = sum((m == 0).sum() for m in masks), sum((m == 1).sum() for m in masks)
-    assert found.background_ratio == pytest.approx(background / on_object, rel=1e-12)
+    assert found.background_per_object == pytest.approx(background / on_object, rel=1e-12)
     assert found.object_pixels == {i: m.sum() for i, m in zip(RENDERED, masks, strict=True)}
     assert found.image_sizes == ((24, 18),)
-    assert ratio_sentence(found) == f"background/object {background / on_object:.1f} (released code: 30.2)"
+    assert balance_sentence(found) == f"background/object {background / on_object:.1f} (released code: 30.2)"
 
 
 def test_every_drawn_object_falls_into_a_bin(corners):
@@ -133,8 +133,8 @@ def test_a_point_for_a_range_and_a_diffuse_wall_can_be_drawn(make_dataset):
         {"dataset": {"count": 3}, "hidden_object": settings, "relay_wall": {"material": "diffuse"}}
     )
     found = read_distributions(dataset, lambda: None)
-    assert found.background_ratio is None
-    assert ratio_sentence(found) == "no scene is rendered yet"
+    assert found.background_per_object is None
+    assert balance_sentence(found) == "no scene is rendered yet"
     figure = distributions_figure(found, dataset.preset)
     assert sum(bar.get_height() for bar in figure.axes[0].patches) == 3
     assert "diffuse" in figure.axes[6].texts[0].get_text()
