@@ -1,4 +1,4 @@
-"""Benchmarks of docs/science/accuracy.md and notebook/: curves, bounds, library baseline, gallery."""
+"""Benchmarks of docs/science/accuracy.md and notebook/: bounds, library baseline, gallery."""
 
 import re
 import runpy
@@ -42,16 +42,6 @@ def rows(name, *words):
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
-def test_the_power_law_of_errors_that_follow_one_is_found():
-    law = runpy.run_path(str(BENCHMARKS / "learning_curve.py"))["power_law"]
-    counts = np.array([500, 1500, 4500])
-    said = law(counts, 40 * counts**-0.4)
-    assert said.startswith("MAE = 40.0 cm · scenes^-0.40")
-    needed = [int(number.replace(",", "")) for number in re.findall(r"([\d,]+) for", said)]
-    np.testing.assert_allclose(needed, [(40 / 1.6) ** 2.5, 40**2.5], rtol=1e-3)
-    assert law(counts, [1.0, 1.0, 2.0]) == "The error does not fall with the number of scenes."
-
-
 def test_the_bounds_of_a_pose_are_those_of_independent_unknowns():
     bounds = runpy.run_path(str(BENCHMARKS / "pose_bound.py"))["_bounds"]
     sizes = np.array([1, 2, 4, 5, 10, 0.0])  # per metre and per radian; the last rotation changes nothing
@@ -63,19 +53,6 @@ def test_the_bounds_of_a_pose_are_those_of_independent_unknowns():
     nuisance = np.zeros((50, 1))
     nuisance[[0, 40]] = 1
     assert bounds(jacobian, np.full((50, 6), 1e-6), 1e-3, nuisance)[0] == f"0.25 to {np.sqrt(2):.2f}"
-
-
-@pytest.mark.thorough
-def test_a_learning_curve_has_a_row_for_each_number_of_scenes(closed_form_scenes, tmp_path):
-    words = (closed_form_scenes.root, "--judge", closed_form_scenes.root, "--counts", 2, 4)
-    words = (*words, "--samples", 8, "--width", 2, "--block", 2, "--out", tmp_path / "curve")
-    found = rows("learning_curve", *words)
-    table = found[-2:]  # printed while it runs, and at the end
-    assert [row[:2] for row in table] == [["2", "4"], ["4", "2"]]
-    assert all(float(row[2]) > 0 and 0 < float(row[3]) < 1 for row in table)
-    assert load(tmp_path / "curve" / "scenes-4", "cpu").config.settings.run.train_scenes == 4
-    again = rows("learning_curve", *words)
-    assert again[-2:] == table  # finished runs are only judged
 
 
 @pytest.mark.long
