@@ -26,10 +26,7 @@ from disk.locks import is_same_file
 from disk.path_like import PathLike
 
 HOST = re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname())
-# Version 0.1 had no number. It wrote to the partial itself, and moved the older folder to .old.partial.
-_PARTIAL = re.compile(
-    r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<pid>\d+)(\.(?P<number>\d+)|(?P<old>\.old))?\.partial", re.DOTALL
-)
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<pid>\d+)\.\d+\.partial", re.DOTALL)
 _WEEK_S = 7 * 86400.0
 _MOST_ATTEMPTS = 1000  # at a new folder: /proc says that a folder which it has is not there
 _numbers = itertools.count(1)  # threads may write the same path
@@ -69,9 +66,9 @@ def remove_leftovers(folder: PathLike, name: str | None = None) -> None:
     for partial in names:
         match = _PARTIAL.fullmatch(partial)
         if match is not None and name in (None, match["name"]):
-            remove = _remove_leftover if match["number"] else _remove_leftover_of_0_1
             with suppress(OSError):
-                remove(Path(folder, partial), Path(folder, match["name"]), match["host"], int(match["pid"]))
+                place = Path(folder, match["name"])
+                _remove_leftover(Path(folder, partial), place, match["host"], int(match["pid"]))
 
 
 def _locked_folder(path: Path) -> tuple[Path, int]:
@@ -111,18 +108,6 @@ def _remove_leftover(partial: Path, path: Path, host: str, pid: int) -> None:
             _discard(partial, path)
     finally:
         os.close(lock)
-
-
-def _remove_leftover_of_0_1(partial: Path, path: Path, host: str, pid: int) -> None:
-    """As `_remove_leftover`, for version 0.1, which had no locks: only its machine knows whether it lives."""
-    if host != HOST or _is_alive(pid):
-        return
-    if partial.name.endswith(".old.partial") and not os.path.lexists(path):
-        partial.rename(path)
-    elif partial.is_dir() and not partial.is_symlink():
-        shutil.rmtree(partial, ignore_errors=True)
-    else:
-        partial.unlink(missing_ok=True)
 
 
 def _discard(partial: Path, path: Path) -> None:

@@ -1,6 +1,6 @@
 from .capture.checking import check_capture
 from .capture.importing import import_capture
-from .channels import network_channels, phasors_of_channels, phasors_of_residual, residual_channels
+from .channels import network_channels, residual_channels
 from .direct import direct_phasors
 from .exr.depth_map import DEPTH_CHANNEL, MASK_CHANNEL, DepthMap
 from .exr.header import ImageFileError
@@ -51,8 +51,6 @@ __all__ = [
     "phasor_channels",
     "phasor_of_return",
     "phasors",
-    "phasors_of_channels",
-    "phasors_of_residual",
     "pixel_rays",
     "pixel_types",
     "points_from_radial",

@@ -46,30 +46,6 @@ def network_channels(phasor: PhasorsOf[Array], amplitude_scale: float) -> Channe
     return _image_axes_last(xp, [magnitude / amplitude_scale, xp.real(direction), xp.imag(direction)])
 
 
-def phasors_of_channels(channels: ChannelsOf[Array], amplitude_scale: float) -> PhasorsOf[Array]:
-    """Inverse of `network_channels`.
-
-    Parameters
-    ----------
-    channels : (..., 1 + 2F, H, W) real.
-    amplitude_scale : as given to `network_channels`.
-
-    Returns
-    -------
-    (..., H, W, F) complex.
-
-    Raises
-    ------
-    ValueError : a number of channels that is not 1 + 2F, or a scale that is not a positive number.
-    """
-    _, c = _channels(channels)
-    count = c.shape[-1] // 2  # F: each frequency has a real and an imaginary part
-    if c.shape[-1] < 3 or c.shape[-1] % 2 == 0:
-        raise ValueError(f"expected 1 + 2F channels for F frequencies, got {c.shape[-1]}")
-    _check_scale(amplitude_scale)
-    return (c[..., 1 : 1 + count] + 1j * c[..., 1 + count :]) * (c[..., :1] * amplitude_scale)
-
-
 def residual_channels(
     phasor: PhasorsOf[Array],
     reference: PhasorsOf[Array],
@@ -124,49 +100,6 @@ def residual_channels(
     return _image_axes_last(xp, [xp.imag(turned), real[..., 1:] - real[..., :1]])
 
 
-def phasors_of_residual(
-    channels: ChannelsOf[Array],
-    reference: PhasorsOf[Array],
-    amplitude: PixelsOf[Array],
-    weights: SubpixelWeights = "measured",
-) -> PhasorsOf[Array]:
-    """Inverse of `residual_channels`, for pixels where the hidden part is smaller than the direct part.
-
-    The channels determine every r_f except for the common Re r_0. Since |r_0| = 1, it is √(1 - Im² r_0), with
-    the sign of the direct part. The amplitude is not in the channels and must be given.
-
-    Parameters
-    ----------
-    channels : (..., 2F - 1, H, W).
-    reference : (H, W, F) complex, as given to `residual_channels`.
-    amplitude : (..., H, W) |z_0|, the amplitude at the first frequency.
-    weights : as given to `residual_channels`.
-
-    Returns
-    -------
-    (..., H, W, F) complex; 0 in pixels without light.
-
-    Raises
-    ------
-    ValueError : a number of channels that does not match the reference, or unknown weights.
-    """
-    xp, c = _channels(channels)
-    known = _array(reference)
-    count = known.shape[-1]
-    if c.shape[-1] != 2 * count - 1:  # two per frequency, without Re r_0
-        raise ValueError(
-            f"{c.shape[-1]} residual channels do not fit a reference at {count} frequencies: "
-            f"expected {2 * count - 1}"
-        )
-    imaginary = c[..., :count]  # (..., H, W, F)
-    # Re r_0, (..., H, W, 1); rounding may put |Im r_0| just above 1.
-    first = xp.sqrt(xp.clip(1 - imaginary[..., :1] ** 2, 0, 1))
-    real = xp.concat([first, first + c[..., count:]], axis=-1)
-    known = _weighted(known, xp.asarray(amplitude), weights)
-    brightness = quotient(xp, xp.asarray(amplitude)[..., None], xp.abs(known[..., :1]))
-    return (real + 1j * imaginary) * known * brightness
-
-
 def _array(values: Array) -> Array:
     """Lists become numpy arrays."""
     found: Array = np.asarray(values) if isinstance(values, Sequence) else values
@@ -179,13 +112,6 @@ def _phasors(phasor: PhasorsOf[Array]) -> tuple[ModuleType, PhasorsOf[Array]]:
     if z.ndim < 3:
         raise ValueError(f"expected phasors of shape (..., H, W, F), got {tuple(z.shape)}")
     return array_namespace(z), z
-
-
-def _channels(channels: ChannelsOf[Array]) -> tuple[ModuleType, Array]:
-    """Array namespace, and the channels (..., H, W, C); numpy arrays as float64."""
-    c = _array(channels)
-    xp = array_namespace(c)
-    return xp, xp.moveaxis(c.astype(np.float64) if is_numpy_array(c) else c, -3, -1)
 
 
 def _weighted(reference: PhasorsOf[A], amplitude: PixelsOf[Array], weights: SubpixelWeights) -> PhasorsOf[A]:

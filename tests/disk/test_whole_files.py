@@ -48,16 +48,9 @@ def test_the_next_writer_removes_what_a_killed_one_left(killed):
     assert [entry.name for entry in path.parent.iterdir()] == ["data"]
 
 
-def test_what_a_living_process_writes_is_left_alone(tmp_path):
-    living = tmp_path / f".data.{HOST}-{os.getppid()}.partial"
-    living.write_text("half")
-    elsewhere = tmp_path / ".data.another_machine-999999999.partial"
-    elsewhere.write_text("half")
-    other = tmp_path / f".data.txt.{HOST}-999999999.partial"  # of another name
-    other.write_text("half")
+def test_what_was_begun_under_another_name_is_left_alone(tmp_path):
+    other = leftover(tmp_path, name="data.txt")
     write_text(tmp_path / "data", "whole")
-    assert living.exists()
-    assert elsewhere.exists()
     assert other.exists()
 
 
@@ -107,20 +100,8 @@ def test_what_a_kill_between_two_renames_left_is_safe_from_a_failing_command(tmp
         assert names(tmp_path) == ["x"]
 
 
-def test_what_version_0_1_left_between_two_renames_is_put_back(tmp_path):
-    for name, text in ((".x.{}-999999999.old.partial", "old"), (".x.{}-999999999.partial", "new")):
-        (tmp_path / name.format(HOST)).mkdir()
-        (tmp_path / name.format(HOST) / "a").write_text(text)
-    remove_leftovers(tmp_path)
-    assert contents(tmp_path / "x") == {"a": "old"}
-    (tmp_path / f".x.{HOST}-999999999.old.partial").mkdir()
-    remove_leftovers(tmp_path)
-    assert names(tmp_path) == ["x"]
-    assert contents(tmp_path / "x") == {"a": "old"}
-
-
-def leftover(folder, host=HOST, pid=999999999, number=1, text="half"):
-    partial = folder / f".x.{host}-{pid}.{number}.partial"
+def leftover(folder, host=HOST, pid=999999999, number=1, text="half", name="x"):
+    partial = folder / f".{name}.{host}-{pid}.{number}.partial"
     partial.mkdir()
     (partial / "x").write_text(text)
     return partial

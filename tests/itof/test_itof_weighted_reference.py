@@ -11,7 +11,6 @@ from itof import (
     TransientLayout,
     direct_phasors,
     phase_per_metre,
-    phasors_of_residual,
     pixel_rays,
     residual_channels,
     weighted_reference,
@@ -51,7 +50,8 @@ def left(measured, reference, weights):
 def test_what_is_left_of_a_glossy_wall_falls_with_the_fourth_power_of_the_pixel_instead_of_the_second():
     pairs = [(glossy(*size), lambertian(*size)) for size in ((20, 15), (40, 30))]
     coarse, fine = ({w: left(*pair, w) for w in ("uniform", "measured")} for pair in pairs)
-    assert np.log2(coarse["uniform"] / fine["uniform"]) == pytest.approx(2, abs=0.2)
+    # The next term is h² of this one, 1/225 at 20 x 15; its factor may be ten.
+    assert np.log2(coarse["uniform"] / fine["uniform"]) == pytest.approx(2, abs=10 / 225)
     assert np.log2(coarse["measured"] / fine["measured"]) > 3.5
     assert fine["measured"] < fine["uniform"] / 100
 
@@ -83,13 +83,6 @@ def test_images_of_one_row_or_column_and_unlit_references_work():
         z = np.full((*shape, 3), 0.5 + 0.1j)
         assert np.abs(residual_channels(z, z)).max() < 1e-6
         assert not residual_channels(z, 0 * z).any()
-
-
-def test_the_channels_with_measured_weights_invert():
-    measured, reference = glossy(40, 30), lambertian(40, 30)
-    channels = residual_channels(measured, reference)
-    again = phasors_of_residual(channels, reference, np.abs(measured[..., 0]))
-    np.testing.assert_allclose(again, measured, rtol=0, atol=1e-7 * np.abs(measured).max())
 
 
 def test_unknown_weights_are_refused():

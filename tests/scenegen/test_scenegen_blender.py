@@ -118,9 +118,7 @@ def test_same_seed_same_bytes_and_interrupted_work_goes_on(maker, tmp_path):
     with pytest.raises(StopHereError):
         generate(tmp_path / "resumed", preset, maker, stop_after_three)
     assert not (tmp_path / "resumed" / "dataset.json").exists()
-    (tmp_path / "resumed" / f".dataset.json.{HOST}-999999999.partial").write_text(
-        "{"
-    )  # killed while writing it
+    (tmp_path / "resumed" / f".dataset.json.{HOST}-999999999.1.partial").mkdir()  # killed while writing it
     generate(tmp_path / "resumed", preset, maker, lambda: None)
     assert contents(tmp_path / "resumed") == expected
 
@@ -143,7 +141,7 @@ def test_scenes_of_an_interrupted_larger_run_are_removed_and_foreign_ones_refuse
     generate(tmp_path, preset, maker, lambda: None)
     expected = contents(tmp_path)
     (tmp_path / "dataset.json").unlink()
-    for name in (scene_id(2), scene_id(7), f".{scene_id(8)}.{HOST}-999999999.partial"):
+    for name in (scene_id(2), scene_id(7), f".{scene_id(8)}.{HOST}-999999999.1.partial"):
         (tmp_path / "scenes" / name).mkdir()
         (tmp_path / "scenes" / name / "scene.json").write_text("{}")
     (tmp_path / "scenes" / "holiday").mkdir()

@@ -171,10 +171,11 @@ def test_a_folder_in_use_is_not_overwritten(closed_form_scenes, finished_copy, t
 
 
 def test_a_new_run_may_begin_where_a_killed_one_left_only_a_temporary_file(closed_form_scenes, tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / f".run.json.{HOST}-999999999.partial").write_text("{")
+    left = tmp_path / "run" / f".run.json.{HOST}-999999999.1.partial"
+    left.mkdir(parents=True)
+    (left / "run.json").write_text("{")
     train(closed_form_scenes, tmp_path / "run", settings(max_epochs=1))
-    assert not (tmp_path / "run" / f".run.json.{HOST}-999999999.partial").exists()
+    assert not left.exists()
 
 
 def test_a_dataset_without_validation_scenes_cannot_be_trained_on(tmp_path):
