@@ -1,4 +1,4 @@
-"""Time and memory of ``many-light`` for a scene pair, how they grow, and where the time goes.
+"""Time and memory of ``many-light`` for a scene pair, and how they grow.
 
 A scene pair is a scene and its mirrored scene, with all files written. Each scene is rendered once before it
 is measured, because the first time compiles its kernels. The median of --repeats renders is printed. Run:
@@ -6,8 +6,6 @@ is measured, because the first time compiles its kernels. The median of --repeat
     .venv/bin/python benchmarks/render_cost.py itof
     .venv/bin/python benchmarks/render_cost.py transient
     .venv/bin/python benchmarks/render_cost.py growth
-    .venv/bin/python benchmarks/render_cost.py stages
-    .venv/bin/python benchmarks/render_cost.py materials
 """
 
 import argparse
@@ -20,19 +18,15 @@ from typing import Any
 from unittest.mock import patch
 
 import trimesh
-from machine_limits import copied_bytes, file_seconds, occlusion_rays
-from render_stages import STAGES, last_field, stage_times
 from seven_scenes import SCENES, seven_scenes
 
 from render.backend import select_variant
 from render.options import ManyLightOptions
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from render.transport.kernels.rough_wall import register_rough_wall
-from render.transport.many_light import ManyLight
-from render.transport.scene_loading import load_scene
+from render.transport import many_light
+from render.transport.many_light import make_field
 from scenegen import Dataset
-from scenegen.mitsuba_description import ROUGH_WALL
 
 SIZES = tuple((4 * n, 3 * n) for n in (10, 20, 40, 80, 160, 320))
 ERRORS = (0.02, 0.01, 0.005, 0.002, 0.001)
@@ -44,14 +38,13 @@ BINS = (500, 2000, 6000)  # at 320 x 240; more are not written
 def main() -> None:
     """Run the chosen benchmark."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("what", choices=["itof", "transient", "growth", "stages", "materials"])
+    arguments.add_argument("what", choices=["itof", "transient", "growth"])
     arguments.add_argument("--size", default="320x240", help="image size, default 320x240")
     arguments.add_argument("--error", type=float, default=0.005, help="wanted error, default 0.005")
     arguments.add_argument("--repeats", type=int, default=3, help="renders of which the median counts")
     arguments.add_argument(
         "--scene", nargs="+", choices=[name for name, _ in SCENES], help="all; sphere for growth"
     )
-    arguments.add_argument("--product", choices=["itof", "both"], default="itof", help="for stages")
     arguments.add_argument("--most", type=float, default=0, help="growth: skip what is larger than this")
     given = arguments.parse_args()
     print(f"{given.size} pixels, error {given.error:g}, {select_variant()}")
@@ -59,10 +52,6 @@ def main() -> None:
     with seven_scenes(tuple(names)) as scenes:
         if given.what == "growth":
             growth(*scenes[0], given)
-        elif given.what == "stages":
-            stages(scenes, given)
-        elif given.what == "materials":
-            materials(scenes, given)
         else:
             pairs(scenes, given)
 
@@ -83,13 +72,19 @@ def measured(dataset: Dataset, scene_id: str, settings: RenderSettings, repeats:
     times, used = [], time.process_time()
     dr.flush_malloc_cache()
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from here
-    with last_field() as field:
+    fields = []
+
+    def kept(*given: Any, **named: Any) -> Any:
+        fields.append(make_field(*given, **named))
+        return fields[-1]
+
+    with patch.object(many_light, "make_field", kept):
         for _ in range(repeats):
             started = time.perf_counter()
             record = renderer.render(scene_id)
             times.append(time.perf_counter() - started)
     used = (time.process_time() - used) / repeats
-    lattice = field[0].lattice
+    lattice = fields[-1].lattice
     status = Path("/proc/self/status").read_text()
     peak_kb = int(status.split("VmHWM:")[1].split()[0])
     return {
@@ -150,74 +145,6 @@ def made_triangles(dataset: Dataset, scene_id: str, times: list[int]) -> Iterato
         mesh.apply_translation(box.mean(axis=0))
         file.write_bytes(mesh.export(file_type="ply", vertex_normal=False))
         yield len(mesh.faces)
-
-
-def stages(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> None:
-    """Print milliseconds of each stage for each scene, and the limits of the machine."""
-    settings = settings_of(given, product=given.product)
-    columns, limits = [], []
-    for _, dataset, scene_id in scenes:
-        renderer = Renderer(dataset, settings)
-        renderer.render(scene_id)
-        with stage_times() as seconds:
-            started = time.perf_counter()
-            for _ in range(given.repeats):
-                record = renderer.render(scene_id)
-            whole = (time.perf_counter() - started) / given.repeats
-        column = {stage: seconds[stage] / given.repeats for stage in STAGES}
-        column["not in these stages"] = whole - sum(column.values())
-        columns.append(column | {"all": whole})
-        sizes = [file.bytes for file in record.files.values()]
-        rays = occlusion_rays(load_scene(dataset, scene_id))
-        count = seconds["pairs"] / given.repeats
-        curves = seconds["curve pairs"] / max(seconds["curve seconds"], 1e-9)
-        limits.append(
-            {
-                "million pairs of a point and a light or wall point": f"{count / 1e6:.1f}",
-                "bare occlusion rays, million a second": f"{rays / 1e6:.0f}",
-                "as many bare rays as pairs would take, ms": f"{1e3 * count / rays:.1f}",
-                "million pairs for curves over time": f"{seconds['curve pairs'] / given.repeats / 1e6:.1f}",
-                "their rate, million a second": f"{curves / 1e6:.1f}",
-                "as many bytes to the disk (fsync), ms": f"{disk_ms(dataset.root, sizes):.1f}",
-            }
-        )
-    rows = [*STAGES, "not in these stages", "all"]
-    names = [name for name, *_ in scenes]
-    for row in rows:
-        if not any(column[row] for column in columns):
-            for column in columns:
-                del column[row]
-    rows = [row for row in rows if row in columns[0]]
-    print_table(
-        "ms",
-        ((r, {n: f"{1e3 * c[r]:.1f}" for n, c in zip(names, columns, strict=True)}) for r in rows),
-    )
-    print_table("limits", ((r, {n: c[r] for n, c in zip(names, limits, strict=True)}) for r in limits[0]))
-    print(f"\nnumpy copies {copied_bytes() / 1e9:.1f} GB a second with one thread.")
-
-
-def materials(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> None:
-    """Print the time of all scenes in turn, with Mitsuba's material of the wall and with ours."""
-    settings = settings_of(given)
-    rounds: dict[str, list[float]] = {}
-    for number in range(given.repeats + 1):
-        for plugin in (ROUGH_WALL, register_rough_wall(select_variant())):
-            renderers = [(Renderer(dataset, settings), scene_id) for _, dataset, scene_id in scenes]
-            started = time.perf_counter()
-            with patch.object(ManyLight, "rough_wall", plugin):
-                for renderer, scene_id in renderers:
-                    renderer.render(scene_id)
-            if number:  # the first round compiles the kernels
-                rounds.setdefault(plugin, []).append(time.perf_counter() - started)
-    theirs, ours = (median(seconds) / len(scenes) for seconds in rounds.values())
-    print(f"\n{len(scenes)} scenes in turn, of different roughness; median of {given.repeats} rounds")
-    print(f"{1e3 * theirs:.0f} ms a scene with {ROUGH_WALL}, {1e3 * ours:.0f} ms with ours")
-    print(f"ratio {theirs / ours:.2f}")
-
-
-def disk_ms(folder: Path, sizes: list[int]) -> float:
-    """Milliseconds to write files of these sizes and wait for each."""
-    return 1e3 * sum(file_seconds(folder, size) for size in sizes)
 
 
 def print_table(first: str, rows: Iterator[tuple[Any, dict[str, str]]]) -> None:
