@@ -238,11 +238,11 @@ def test_rays_that_the_distortion_folds_back_are_outside_of_the_image(k3):
     radius = np.linspace(0, 3, 300001)
     growing = np.diff(radius * (1 - 0.25 * radius**2 + k3 * radius**6)) > 0
     turning = radius[np.argmin(growing)]
-    assert turning_point(lens) == pytest.approx(turning**2, abs=1e-4)
+    assert turning_point(lens) == pytest.approx(turning**2, abs=2 * 3 * 1e-5)  # steps of 1e-5 up to 3
     rays = pixel_rays(width, height, fov_deg)
     far = np.hypot(rays[..., 0], rays[..., 1]) / rays[..., 2] > turning + 1e-4
     good = Undistortion.of(lens, width, height, fov_deg).good(all_good((height, width)))
-    assert 0.1 < far.mean() < 0.9
+    assert 0.1 < far.mean() < 0.9  # both are tested
     np.testing.assert_array_equal(good, ~far)
 
 

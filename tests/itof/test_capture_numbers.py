@@ -34,4 +34,5 @@ def test_numbers_that_stop_below_the_range_or_are_above_it_are_refused_with_thei
     assert str(refused.value).endswith(advice)
     key = advice.rpartition("give ")[2].replace("the true bits: 12?", "bits = 12").split(" = ")
     sidecar = sidecar_of(tmp_path, **(changes | {key[0]: int(key[1])}))
-    assert 0.005 < sensor_pixels(raw_of(sidecar, raw=raw), sidecar).saturated.mean() < 0.5
+    saturated = sensor_pixels(raw_of(sidecar, raw=raw), sidecar).saturated
+    assert 0.005 < saturated.mean() < 0.5  # the brightest pixels, not all of them

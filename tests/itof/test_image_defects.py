@@ -49,6 +49,7 @@ def test_a_frequency_that_does_not_fit_the_others_is_named(declared_mhz, wrong, 
     (found,) = check_image(PHASOR * offsets, declared_hz, FOV_DEG).findings
     assert found.refused
     assert found.sentence.startswith(f"the phases at {wrong} MHz do not fit those at ")
+    # Frequencies that differ by less are taken for the waves of a camera.
     assert float(found.sentence.split()[-2]) == pytest.approx(true, rel=0.02)
 
 
@@ -59,7 +60,7 @@ def test_of_two_frequencies_either_may_be_wrong():
         r"the phases at 40 and 80 MHz do not fit each other: is one of them (.*) or (.*) MHz, respectively\?"
     )
     told_mhz = [float(each) for each in re.fullmatch(words, found.sentence).groups()]
-    np.testing.assert_allclose(told_mhz, [40 * 80 / 70, 70], rtol=0.01)
+    np.testing.assert_allclose(told_mhz, [40 * 80 / 70, 70], rtol=0.02)  # less would be a camera's waves
 
 
 @pytest.mark.parametrize("name", [name for name in IMAGE_DEFECTS if name != "one depth"])

@@ -96,7 +96,7 @@ def test_depth_of_a_single_return_survives_the_round_trip_up_to_the_unambiguous_
 
 
 def test_the_unambiguous_range_at_20_mhz_is_7_49_m():
-    assert float(unambiguous_range_m(20e6)) == pytest.approx(7.4948, abs=1e-4)
+    assert float(unambiguous_range_m(20e6)) == pytest.approx(299_792_458 / 40e6, rel=1e-12)
 
 
 def test_a_return_past_the_unambiguous_range_wraps_by_exactly_that_range():
@@ -112,7 +112,7 @@ def test_phase_lies_in_zero_to_two_pi_even_just_below_zero():
 
 
 def test_three_frequencies_unwrap_to_14_99_m():
-    assert combined_range_m(FREQUENCIES_HZ) == pytest.approx(14.9896, abs=1e-4)
+    assert combined_range_m(FREQUENCIES_HZ) == pytest.approx(299_792_458 / 20e6, rel=1e-12)  # of 10 MHz
     depth_m = np.linspace(0.01, 14.9, 331).reshape(331, 1)
     phi = phase(phasor_of_return(depth_m[..., None], np.array(FREQUENCIES_HZ)))
     np.testing.assert_allclose(unwrap_depth(phi, FREQUENCIES_HZ), depth_m, atol=1e-8)

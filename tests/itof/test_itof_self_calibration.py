@@ -81,8 +81,8 @@ def test_the_channels_of_hidden_light_do_not_depend_on_where_the_wall_is_nor_on_
     straight = residual(wall.direct * light, wall)
     other = paper_wall(40, 30, shift_m, tilt_deg).direct * np.exp(1j * OFFSETS_RAD)
     change = residual(other * light, wall) - straight
-    size = np.sqrt((straight**2).mean(axis=(1, 2)))
-    assert (np.sqrt((change**2).mean(axis=(1, 2))) < 0.1 * size).all()
+    # What the wall alone leaves (above), and as much for its tangents, which differ by 1 cm of 1 m.
+    assert (np.sqrt((change**2).mean(axis=(1, 2))) < HIDDEN_RAD / 15).all()
 
 
 def test_all_that_is_lost_of_the_hidden_light_is_a_plane_and_an_offset_per_frequency(wall):
@@ -111,7 +111,7 @@ def test_what_is_lost_does_not_depend_on_where_the_wall_is_expected(wall, shift_
         residual(wall.direct * light, each) - residual(wall.direct, each) for each in (wall, elsewhere)
     )
     change, size = (np.sqrt((each**2).mean(axis=(1, 2))) for each in (moved - straight, straight))
-    assert (change < 1e-3 * size).all()
+    assert (change < 3 * HIDDEN_RAD * size).all()  # of second order in the light
 
 
 def test_what_is_lost_does_not_depend_on_the_strength_of_the_hidden_light(wall):
@@ -127,7 +127,7 @@ def test_a_capture_of_the_corner_loses_the_dimensions_that_the_computed_return_l
     capture, light = wall.direct * glossy, hidden(wall)
     expected = residual(wall.direct * light, wall)
     found = residual(capture * light, wall.captured(capture))
-    np.testing.assert_allclose(found, expected, atol=1e-3 * HIDDEN_RAD)
+    np.testing.assert_allclose(found, expected, atol=2**-20)  # float32 rounds numbers near 1, some ten times
     # With weights of its own, the fit would take another part of the hidden light.
     own = residual(capture * light, replace(wall, direct=capture))
     assert np.sqrt(((own - expected) ** 2).mean()) > 0.05 * HIDDEN_RAD
@@ -185,8 +185,9 @@ def test_the_four_cycle_error_of_a_square_wave_is_fitted_on_request(wall):
         error = 5e-3 * np.array([1.0, -0.5, 0.3]) * np.cos(cycles) + 2e-3 * np.sin(cycles)
     z = wall.direct * np.exp(1j * error)
     found = calibrate(z, wall, wiggling=True)
-    np.testing.assert_allclose(found.wiggling_rad[..., 0], 5e-3 * np.array([1.0, -0.5, 0.3]), rtol=1e-4)
-    np.testing.assert_allclose(found.wiggling_rad[..., 1], 2e-3, rtol=1e-4)
+    # Each round leaves four times the error in radians of the one before: (4 * 5.4e-3)^5 = 5e-9.
+    np.testing.assert_allclose(found.wiggling_rad[..., 0], 5e-3 * np.array([1.0, -0.5, 0.3]), rtol=1e-8)
+    np.testing.assert_allclose(found.wiggling_rad[..., 1], 2e-3, rtol=1e-8)
     direct = found.moved(z, wall)
     np.testing.assert_allclose(direct, z, rtol=1e-6)
     assert np.abs(residual(z, wall)[:3]).max() > 30 * np.abs(np.angle(z / direct)).max()

@@ -102,6 +102,7 @@ def test_square_waves_make_the_phase_error_of_triangles(frequency_hz):
     )
     more = replace(SQUARE, phase_steps=8)
     better = np.angle(phasor_of_differences(more, tap_differences(more, np.exp(1j * phase), 50e6), 50e6))
+    # Harmonics fall with their square. The 7th and 9th have 0.22 of the 3rd and 5th.
     assert np.abs(better - phase).max() < 0.25 * 0.0711
 
 

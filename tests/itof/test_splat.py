@@ -151,6 +151,7 @@ def test_phi_of_the_faintest_scenes_at_the_papers_size_is_exact_within_the_bound
         exposure = corner.expose(load_scene(dataset, scene_id), variant, lights=512, layout=PAPER)
         exact = exposure.phasors()
         hidden = np.linalg.norm(exact.hidden, axis=(0, 1))
+        # docs/science/renderer.md: 1 % of the hidden part, half of it by the splat
         assert np.all(error_of_splat < 0.005 * hidden / np.linalg.norm(exact.direct, axis=(0, 1)))
         binned = phi.apply_streaming(exposure.row_blocks())
         assert np.all(np.linalg.norm(binned - exact.total, axis=(0, 1)) < 0.01 * hidden)

@@ -39,7 +39,7 @@ def test_each_object_reflects_as_it_says_by_both_methods(dataset):
     hidden, frequencies_hz = read_image(dataset.render_folder(scene_id) / MEASUREMENT_FILE).phasors("hidden")
     light = BatchedLight(frequencies_hz, 32, 24, error=0.02, device="cpu")
     both = light.images([scene]).hidden[0]
-    assert norm(both - hidden) / norm(hidden) < np.hypot(0.02, 0.01)
+    assert norm(both - hidden) / norm(hidden) < np.hypot(0.02, 0.01)  # the errors asked for
     cube, sphere = scene.hidden_objects
     alike = light.images([replace(scene, hidden_objects=(cube, replace(sphere, reflectance=1.0)))]).hidden[0]
     assert norm(alike - hidden) / norm(hidden) > 0.1  # so that the test can fail

@@ -74,6 +74,7 @@ def test_a_library_of_the_scenes_themselves_is_the_most_similar_scene(closed_for
         summarise([pick(one, key=lambda m: m.depth_mae_m) for one in each]).depth_mae_m.mean
         for pick in (min, max)
     )
+    # The table has 0.01 cm.
     assert 100 * best - 0.01 <= float(mae_cm) <= 100 * worst + 0.01
     assert 0 < float(miou) < 1
 
@@ -103,7 +104,7 @@ def test_networks_are_judged_on_every_corner(self_run, closed_form_scenes):
     found = load(self_run, "cpu").predict(block.phasors)
     images = zip(found.radial_depth_m, found.mask, block.radial_depth_m, block.mask, strict=True)
     summary = summarise([image_metrics(*image) for image in images])
-    assert float(ours.split("|")[3]) == pytest.approx(100 * summary.depth_mae_m.mean, abs=0.01)
+    assert float(ours.split("|")[3]) == pytest.approx(100 * summary.depth_mae_m.mean, abs=0.01)  # as printed
     assert nothing.startswith("| no object | ")
 
 
@@ -116,6 +117,7 @@ def test_runs_of_several_seeds_are_one_row_each(self_run, finished_run, closed_f
     ours, other, _ = compared(*runs, "--judge", closed_form_scenes.root, "--over-seeds")
     maes_cm = [float(row.split("|")[3]) for row in each]
     found_cm, spread_cm = (float(word) for word in ours.split("|")[3].split("±"))
+    # All are rounded to 0.01 cm, which moves the difference of two by 0.01 cm at most.
     assert found_cm == pytest.approx(mean(maes_cm[:2]), abs=0.011)
     assert spread_cm == pytest.approx(stdev(maes_cm[:2]), abs=0.011)
     assert spread_cm > 0

@@ -68,7 +68,7 @@ def test_noise_falls_with_the_root_of_the_exposures(judged):
     assert [row["frames"] for row in rows] == [1, 10, 100]
     for key, power in (("phase_noise_rad", -0.5), ("snr_pixel", 0.5), ("light_s", 1), ("electrons", 1)):
         values = [row[key] for row in rows]
-        np.testing.assert_allclose(values[2] / values[0], 100**power, rtol=0.02)
+        np.testing.assert_allclose(values[2] / values[0], 100**power, rtol=1e-6)
     assert said.count("\n| all |") == 3
     with (out / "exposures.csv").open() as stream:
         assert [int(row["frames"]) for row in csv.DictReader(stream)] == [1, 10, 100]

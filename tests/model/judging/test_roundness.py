@@ -68,7 +68,9 @@ def test_rectangles_have_the_closed_form(width, height):
 
 
 def test_a_square_is_less_round_than_a_disc_and_more_than_a_ring_a_bar_or_two_parts():
-    assert rectangle(1, 1) == pytest.approx(0.8339, abs=1e-4)
+    corner = np.arccos(np.sqrt(np.pi) / 2)  # half the angle of the disc's segments beside a square of side 2
+    shared = 4 - 16 / np.pi * (corner - np.sin(2 * corner) / 2)
+    assert rectangle(1, 1) == pytest.approx(shared / (8 - shared), rel=1e-6)
     rows, columns = pixels()
     away = np.hypot(rows - 45, columns - 60)
     square = (abs(rows - 45) < 20) & (abs(columns - 60) < 20)

@@ -68,7 +68,7 @@ def test_the_channels_of_the_training_scenes_have_unit_variance(self_run, shards
     phasors = shards.read(shards.rows("train")).phasors
     inputs = predictor.config.inputs
     channels = inputs.apply(phasors, inputs.reference_for(phasors, predictor.wall))
-    np.testing.assert_allclose(channels.std(axis=(0, 2, 3)), 1, rtol=1e-3)
+    np.testing.assert_allclose(channels.std(axis=(0, 2, 3)), 1, rtol=1e-4)  # float32 of 1e-3 beside 1
 
 
 def test_a_batch_has_the_channels_of_a_prediction(self_run, shards, monkeypatch):
@@ -131,7 +131,8 @@ def test_it_is_told_where_a_capture_of_the_empty_corner_shows_the_wall(
             record["reference_wall"],
             [each for each in found.sentences if "the empty corner" in each],
         )
-    np.testing.assert_allclose(told["there"][0]["plane_per_m"], there.plane_per_m, atol=1e-3)
+    # The file has complex64, and a fit with unknown offsets magnifies its rounding (measured: 7e-6).
+    np.testing.assert_allclose(told["there"][0]["plane_per_m"], there.plane_per_m, atol=1e-4)
     assert told["there"][0]["used"]
     assert " farther than expected, uncertain by " in told["there"][1][0]
     assert not told["unsure"][0]["used"]

@@ -74,7 +74,8 @@ def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, w
     record = record_of(tmp_path / "out")
     found = record["findings"][0]
     assert (found["code"], found["refused"]) == ("wall-moved", False)
-    assert record["images"][0]["wall"]["distance_shift_m"] == pytest.approx(0.003, abs=5e-4)
+    off_m = record["images"][0]["wall"]["distance_shift_m"] - 0.003
+    assert abs(off_m) < 1.2e-3  # 3 mrad of hidden light at 60 MHz
     assert (record["schema_version"], record["ignored"]) == (PREDICTION_SCHEMA, [])
 
     arrays = {"phasors": phasors[0], "reference": wall.direct, "ref": phasors[1], "note": np.array("mine")}
@@ -95,7 +96,7 @@ def test_the_command_says_what_the_wall_was_compared_with(seeing_run, phasors, w
 def test_a_rendered_file_can_be_checked_alone(seeing_run, exr):
     check = model.check_file(str(seeing_run), str(exr), device="cpu")
     assert (check.findings, check.refused, check.ignored, check.measured_reference) == ((), False, (), False)
-    assert check.walls[0].mean_shift_m < 1e-3
+    assert check.walls[0].mean_shift_m < 1.2e-3  # 3 mrad of hidden light at 60 MHz
 
 
 def test_no_error_is_expected_after_a_warning(tmp_path):

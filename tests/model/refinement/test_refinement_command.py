@@ -69,7 +69,7 @@ def test_solids_are_found_and_their_depth_maps_are_better(refined, dataset):
         np.testing.assert_allclose(solid["location_m"], true.location_m, atol=0.01)
         assert all(0 < deviation < 0.02 for deviation in solid["location_std_m"])
         assert scene["found"]["expected_mae_m"] < scene["expected_mae_m"]
-        assert scene["refined"]["depth_mae_m"] < 0.01
+        assert scene["refined"]["depth_mae_m"] < 0.01  # of all pixels: a centimetre on the object is less
     assert result["refined"]["depth_mae_m"]["mean"] < result["network"]["depth_mae_m"]["mean"]
     with Image.open(out / "refined.png") as picture:
         assert picture.size[0] > 500
@@ -84,7 +84,7 @@ def test_the_depth_maps_are_those_that_were_judged(refined, dataset):
         written = DepthMap.read(out / "scenes" / f"{scene['scene']}.exr")
         truth = DepthMap.read(dataset / "renders" / scene["scene"] / "mirrored.exr")
         error_m = np.abs(written.radial_depth_m - truth.radial_depth_m).mean(dtype=np.float64)
-        assert error_m == pytest.approx(scene["refined"]["depth_mae_m"], rel=1e-4, abs=1e-7)
+        assert error_m == pytest.approx(scene["refined"]["depth_mae_m"], abs=2**-22)  # float32 of 4 m
 
 
 def test_what_is_finished_is_kept_and_what_is_damaged_is_made_again(copied, refined, dataset):

@@ -232,6 +232,7 @@ def test_the_reflectance_is_found_too(seven, lit, light, comparison):
 def test_the_noise_of_a_measurement_is_told_from_its_light(seven, lit, comparison):
     hidden, direct = lit[seven.ids()[1]]
     still, rng, shares = comparison(hidden + direct), np.random.default_rng(1), []
+    # Without noise, edges of shadows are left: 0.3 % of the light.
     assert still.observed.noise_power < 1e-5 * norm(still.observed.values) ** 2
     for _ in range(8):
         white = rng.standard_normal((*direct.shape, 2)) @ np.array([1, 1j])
@@ -292,8 +293,9 @@ def test_brightness_of_a_wall_is_read_from_its_amplitude(light, index):
     amplitude = 3e7 * light.direct([scene], rays)[0]
     (found,) = walls_as_bright([known_corner(scene)], rays, amplitude, light)
     true = scene.relay_wall.darkening
-    assert found.darkening.least_reflectance == pytest.approx(true.least_reflectance, abs=2e-3)
-    assert found.darkening.direction_deg == pytest.approx(true.direction_deg, abs=0.5)
+    # float32 rounds the amplitudes by 2^-24, of which the darkening changes a tenth or more.
+    assert found.darkening.least_reflectance == pytest.approx(true.least_reflectance, abs=1e-5)
+    assert found.darkening.direction_deg == pytest.approx(true.direction_deg, abs=1e-3)
     (even,) = walls_as_bright(
         [known_corner(scene)], rays, light.direct([known_corner(scene)], rays)[0], light
     )

@@ -190,10 +190,11 @@ def test_two_solids_are_found_from_a_depth_map_that_is_off(comparison, phasor, w
     family = family_of(Preset(), ())
     found = refined(phasor, prediction, 0.02, wall, known_corner(truth), comparison.light, family)
     assert found.is_right(0.02)
-    assert found.misfit < 0.003
+    assert found.misfit < 0.003  # no derivation: below what is left of another pair (above), 0.3 %
     places_m = {part.shape: part.location_m for part in truth.hidden_objects}
     assert set(places_m) == {each.shape for each in found.solids}
     for each in found.solids:
+        # No derivation: the depth map that it started from is 3 cm off.
         np.testing.assert_allclose(each.location_m, places_m[each.shape], atol=0.02)
     metrics = image_metrics(
         found.depth_map.radial_depth_m, found.depth_map.mask, true.radial_depth_m, true.mask

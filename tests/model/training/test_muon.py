@@ -44,6 +44,7 @@ def test_the_singular_values_become_about_1_and_the_directions_stay(shape):
 
 def test_the_length_of_the_gradient_does_not_matter():
     matrix = random(6, 4)
+    # Rounding of float32, in five iterations that may triple it.
     for factor in (1e-5, 1e12):
         torch.testing.assert_close(
             orthogonalised(factor * matrix), orthogonalised(matrix), rtol=1e-4, atol=1e-5

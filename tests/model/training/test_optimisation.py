@@ -80,7 +80,8 @@ def test_a_gradient_that_is_too_long_is_scaled_to_the_limit_and_its_norm_is_kept
     optimisation.step(loss_of(net))
     clipped = torch.cat([p.grad.flatten() for p in net.parameters()])
     assert float(optimisation.gradient_norm) == pytest.approx(norm, rel=1e-5)
-    torch.testing.assert_close(clipped, gradient / 4, rtol=1e-4, atol=1e-9)
+    allowed = 1e-6 / norm + 2**-20  # PyTorch adds 1e-6 to the norm; float32
+    torch.testing.assert_close(clipped, gradient / 4, rtol=allowed, atol=1e-9)
 
 
 def test_the_average_of_the_weights_is_that_of_its_definition():

@@ -34,7 +34,8 @@ def test_the_factor_is_the_one_that_minimises_the_cross_entropy(true_factor):
     shown = rng.random(len(logit)) < expit(true_factor * logit)
     best = minimize_scalar(cross_entropy, (0.01, 10), args=(logit, shown), method="brent").x
     found = logit_factor(counted(logit, shown, parts=7))
-    assert found == pytest.approx(best, rel=2e-3)
+    assert found == pytest.approx(best, rel=2e-3)  # the logits are counted in bins
+    # 200,000 draws, of which a tenth is near the threshold: 1 / sqrt(20,000) = 0.7 %, four times that.
     assert found == pytest.approx(true_factor, rel=0.03)
     torch.testing.assert_close(counted(logit, shown, parts=7), counted(logit, shown))
 
@@ -70,4 +71,4 @@ def test_the_kept_weights_have_the_factor_of_their_epoch_and_the_same_masks(
     logit = np.log(np.abs(unscaled.phasor) / (1 - np.abs(unscaled.phasor))).ravel().astype(np.float64)
     shown = (block.mask > 0).ravel()
     best = minimize_scalar(cross_entropy, (0.01, 10), args=(logit, shown), method="brent").x
-    assert factor == pytest.approx(best, rel=1e-2)
+    assert factor == pytest.approx(best, rel=2e-3)  # as above

@@ -291,6 +291,7 @@ def test_a_roughness_between_those_of_the_tables_is_mixed(light):
     rays = pixel_rays(WIDTH, HEIGHT, scene.camera.horizontal_fov_deg).reshape(-1, 3)
     (mixed,) = CandidateLight(HZ, device="cpu", threads=1).over_direct([scene], rays, fine=True)
     expected = (exact.hidden[0] / exact.direct[0]).reshape(-1, 3)
+    # 2 % that the engine may be off by, and 1 % that mixing may add
     assert norm(mixed - expected) / norm(expected) < np.hypot(0.02, 0.01)
 
 

@@ -70,10 +70,11 @@ def test_phasors_and_ground_truth_are_those_of_many_lights(copied):
     for found, expected in zip(*images, strict=True):
         if isinstance(found, DepthMap):
             assert np.array_equal(found.mask, expected.mask)
-            assert np.abs(found.radial_depth_m - expected.radial_depth_m).max() < 1e-4
+            # float32 rounds 5 m by 2.4e-7 m, and some ten operations do.
+            assert np.abs(found.radial_depth_m - expected.radial_depth_m).max() < 1e-5
         else:
             one, other = (each.phasors("hidden")[0] for each in (found, expected))
-            assert norm(one - other) / norm(other) < np.hypot(0.02, 0.01)
+            assert norm(one - other) / norm(other) < np.hypot(0.02, 0.01)  # the errors asked for
 
 
 def test_what_the_engine_cannot_render_goes_to_many_lights(copied):

@@ -41,7 +41,7 @@ def test_an_estimate_is_about_what_scenes_turn_out_to_take(rendered):
     informed = make_plan(rendered, SETTINGS, rendered.ids(), rendered.ids()[:3])
     records = [read_record(rendered.render_folder(scene)) for scene in rendered.ids()[:3]]
     measured = sum(file.bytes for record in records for file in record.files.values()) / 3
-    assert informed.scene_bytes == pytest.approx(measured, rel=1e-3)
+    assert informed.scene_bytes == pytest.approx(measured, abs=1)  # whole bytes
     # Small images compress worse or better than large ones; a plan must not be off by a factor.
     assert 0.5 < blind.scene_bytes / measured < 2.5
 

@@ -29,6 +29,7 @@ OFFSET_STD_RAD = 0.1  # of a camera of which nothing else is known
 # What these offsets do to a distance that is known from the phase of the highest frequency alone.
 LARGEST_STD_M = OFFSET_STD_RAD / (4 * np.pi * FREQUENCIES_HZ[-1] / 299792458)
 SIGMAS = 3.0
+ROUNDED_M, ROUNDED_DEG = 1e-4, 1e-3  # the last digit of a preset
 
 
 def view_of(preset):
@@ -101,11 +102,11 @@ def test_the_pose_is_that_of_a_camera_before_a_plumb_wall_with_a_known_roll(
     """The fit is exact without noise: what is left is the rounding of the angles to 0.001 degrees."""
     view = looking(right_deg, up_deg, roll_deg, away_m=1.2)
     found = captured_corner(measured(tmp_path, view, returned(view)), roll_deg=roll_deg)
-    assert found.place == pytest.approx((1.2, right_deg, up_deg), abs=1e-3)
+    assert found.place == pytest.approx((1.2, right_deg, up_deg), abs=1e-6)
     np.testing.assert_allclose(
-        camera_axes(found.preset.camera), view.camera_axes, atol=3 * np.radians(0.5e-3) + 1e-5
+        camera_axes(found.preset.camera), view.camera_axes, atol=3 * np.radians(ROUNDED_DEG / 2) + 1e-5
     )
-    assert found.preset.camera.location_m[0] == pytest.approx(1.2, abs=1e-3)
+    assert found.preset.camera.location_m[0] == pytest.approx(1.2, abs=ROUNDED_M)
     assert found.hidden == ("left" if right_deg < 0 else "right")
 
 
@@ -115,9 +116,9 @@ def test_a_mirrored_capture_gives_the_mirrored_corner(tmp_path):
     right, left = (captured_corner(measured(tmp_path, view, each)).preset for each in (z, z[:, ::-1]))
     flipped = np.array([1, -1, 1])
     place = np.array(right.camera.location_m)
-    np.testing.assert_allclose(left.camera.location_m, place * flipped, atol=2e-4)
+    np.testing.assert_allclose(left.camera.location_m, place * flipped, atol=ROUNDED_M)
     mirrored = camera_axes(right.camera) * flipped * np.array([[-1], [1], [1]])
-    np.testing.assert_allclose(camera_axes(left.camera), mirrored, atol=1e-4)
+    np.testing.assert_allclose(camera_axes(left.camera), mirrored, atol=np.radians(ROUNDED_DEG))
     low, high = right.hidden_object.location_m.y
     assert left.hidden_object.location_m.y == (-high, -low)
     # Light takes the same ways.
@@ -130,8 +131,8 @@ def test_the_paper_s_camera_is_put_where_the_paper_has_it(tmp_path):
     view = looking(40, 0)
     camera = captured_corner(measured(tmp_path, view, returned(view))).preset.camera
     paper = load_preset("paper").camera
-    assert camera.location_m == pytest.approx(paper.location_m, abs=1e-3)
-    assert camera.rotation_deg == pytest.approx(paper.rotation_deg, abs=1e-3)
+    assert camera.location_m == pytest.approx(paper.location_m, abs=ROUNDED_M)
+    assert camera.rotation_deg == pytest.approx(paper.rotation_deg, abs=ROUNDED_DEG)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,7 @@ def test_the_image_of_an_empty_wall_shows_no_middle_wall(tmp_path, right_deg, up
     refuse_impossible_corner(preset)
     facts = corner_facts(preset)
     assert (facts.middle_wall, facts.gap_m) == (0, pytest.approx(0.7))
-    assert facts.camera_m == pytest.approx(away_m, abs=1e-3)
+    assert facts.camera_m == pytest.approx(away_m, abs=ROUNDED_M)
 
 
 def test_measures_of_the_user_take_the_place_of_those_of_the_paper(tmp_path):
@@ -155,7 +156,7 @@ def test_measures_of_the_user_take_the_place_of_those_of_the_paper(tmp_path):
     eye = np.array([preset.camera.location_m])
     assert corner_facts(preset).gap_m == pytest.approx(0.5)
     assert abs(distances_m(middle, eye)) == pytest.approx(1.7)
-    assert distances_m(relay, eye) == pytest.approx(3.5, abs=1e-3)
+    assert distances_m(relay, eye) == pytest.approx(3.5, abs=ROUNDED_M)
     assert preset.middle_wall.location_m[0] + preset.middle_wall.size_m[0] / 2 > 3.5  # it hides the region
 
 
@@ -198,7 +199,7 @@ def test_the_empty_corner_of_a_measurement_is_looked_at(tmp_path):
     view = looking(40, 0)
     z = returned(view)
     file = measured(tmp_path, view, noise(z.shape), reference=z)
-    assert captured_corner(file).place[0] == pytest.approx(1.0, abs=1e-3)
+    assert captured_corner(file).place[0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_wall_whose_place_is_not_certain_is_written_only_when_forced(tmp_path):

@@ -71,7 +71,7 @@ def test_the_mirror_shows_the_depth_of_the_object(index):
     scene = sample_scene(PRESET, index)
     view = WallView(**wall_geometry(scene.camera, scene.relay_wall))
     there = found.object_points_m @ np.asarray(view.camera_axes) + np.asarray(view.camera_location_m)
-    assert np.linalg.norm(there - centre, axis=1).max() < 0.35
+    assert np.linalg.norm(there - centre, axis=1).max() < 0.3 + 1.2e-3
 
 
 def test_only_single_returns_behind_the_wall_and_in_the_region_are_the_object():

@@ -63,7 +63,7 @@ def test_the_wall_is_found_behind_offsets_and_four_cycles():
     assert abs(distance_m(found.plane_per_m) - distance_m(TRUE.plane_per_m)) < 2 * found.distance_std_m
     found = find_wall([camera(TRUE.direct)], WALL, KNOWN_RAD, needs_distance=True)
     assert found.is_certain
-    assert np.abs(apart_m(found.plane_per_m)).max() < 0.01
+    assert np.abs(apart_m(found.plane_per_m)).max() < 2 * found.distance_std_m
 
 
 @pytest.mark.parametrize("shape", ["across", "down", "radial"])
@@ -75,7 +75,8 @@ def test_smooth_errors_of_10_mrad_are_within_what_is_told(shape, grows):
     scale = (np.array(HZ) / 60e6) ** grows
     found = find_wall([TRUE.direct * np.exp(10e-3j * error[..., None] * scale)], WALL)
     off_m = np.sqrt((apart_m(found.plane_per_m) ** 2).mean())
-    assert 1e-3 < off_m < 2 * found.distance_std_m < 0.15
+    # No less certain than from 50 MHz alone, where the unknown offset, 0.1 rad, is 5 cm.
+    assert 1e-3 < off_m < 2 * found.distance_std_m < 2 * 0.1 / WALL.slope[1]
     assert 0.01 < angle_deg(found.plane_per_m, TRUE.plane_per_m) < 2 * found.tilt_std_deg < 3
 
 
@@ -103,7 +104,7 @@ def test_the_channels_of_a_capture_are_those_of_the_wall_where_it_is():
         np.abs(channels(wall) - true).max()
         for wall in (captured_wall(camera(direct), WALL), WALL.captured(camera(direct)))
     )
-    assert there < 0.01 * np.abs(true).max()
+    assert there < 2**-19  # float32 rounds numbers near 1 by 2^-24, in some ten operations
     assert elsewhere > 5 * there
 
 
@@ -118,9 +119,11 @@ def test_the_wall_of_a_scene_is_moved_there():
     moved = relay_wall_at(found.plane_per_m, SCENE.relay_wall, VIEW)
     plane = WallView(**wall_geometry(SCENE.camera, moved)).expected_wall(WALL.direct, HZ).plane_per_m
     np.testing.assert_allclose(plane, found.plane_per_m, atol=1e-9)
+    # What pixels that see an area leave: the second moments of their paths (itof.weighted_reference).
     np.testing.assert_allclose(plane, TRUE.plane_per_m, atol=3e-4)
     assert replace(moved, location_m=ELSEWHERE.location_m, rotation_deg=ELSEWHERE.rotation_deg) == ELSEWHERE
-    assert np.linalg.norm(np.subtract(moved.location_m, SCENE.relay_wall.location_m)) < 0.1
+    # It keeps its place along itself: it moves by about the 2 cm between the planes.
+    assert np.linalg.norm(np.subtract(moved.location_m, SCENE.relay_wall.location_m)) < 0.02 + 1e-3
 
 
 def record_beside(file, fov_deg):

@@ -42,7 +42,7 @@ def test_a_camera_that_looks_past_the_edge_of_a_wall_sees_nothing_there():
     facts = corner_facts(
         preset_from_dict({"relay_wall": small, "middle_wall": {"size_m": [0.1, 0.1]}}, "test")
     )
-    assert 0.3 < facts.nothing < 0.99
+    assert 0 < facts.nothing < 1
     assert facts.relay_wall + facts.middle_wall + facts.nothing == pytest.approx(1)
 
 
@@ -89,9 +89,9 @@ def test_the_picture_may_be_a_page_that_loads_nothing(tmp_path, monkeypatch):
     facts = corner_facts(load_preset("paper"))
     assert page.data["corner-data"]["facts"] == list(facts.sentences)
     gap, *_ = (each for each in page.data["corner-data"]["distances"] if "gap" in each["words"])
-    assert np.linalg.norm(np.subtract(*gap["ends"])) == pytest.approx(facts.gap_m, abs=1e-4)
+    assert np.linalg.norm(np.subtract(*gap["ends"])) == pytest.approx(facts.gap_m, abs=1e-4)  # as written
     lit = next(part for part in page.data["corner-data"]["parts"] if part["name"] == "seen and lit")
-    assert np.ptp(lit["points"], axis=0)[1] == pytest.approx(facts.lit_m[1], rel=0.02)
+    assert np.ptp(lit["points"], axis=0)[1] == pytest.approx(facts.lit_m[1], abs=1e-4)
 
 
 @needs_chromium
@@ -125,7 +125,7 @@ def test_the_hidden_light_to_expect_is_that_of_the_scenes(paper):
     assert len(found.shares) == 12
     assert 2e-4 < min(found.shares) <= max(found.shares) < 4.4e-3
     dark = expected_light(preset_from_dict({"hidden_object": {"reflectance": 0.1}}, "test"), device="cpu")
-    np.testing.assert_allclose(np.array(found.shares) / dark.shares, 10, rtol=1e-3)
+    np.testing.assert_allclose(np.array(found.shares) / dark.shares, 10, rtol=1e-5)  # float32 sums
 
 
 def test_where_the_engine_cannot_render_the_light_is_not_guessed():

@@ -60,7 +60,7 @@ def test_the_batched_engine_shows_what_the_truth_shows(partly_hidden, variant):
     for dataset in partly_hidden:
         truth, found_m = truth_of(dataset), light.images([dataset.scene("000000")]).radial_depth_m[0]
         np.testing.assert_array_equal(found_m > 0, truth.mask)
-        np.testing.assert_allclose(found_m, truth.radial_depth_m, atol=1e-4)
+        np.testing.assert_allclose(found_m, truth.radial_depth_m, atol=1e-5)  # float32 rounds 5 m by 2.4e-7 m
 
 
 def test_an_object_in_full_view_has_the_same_truth_both_ways(make_dataset, variant):

@@ -99,6 +99,7 @@ def test_the_hidden_part_of_a_wide_picture_agrees_with_every_pixel_computed(vari
     exact = field.image(
         exposure._grid, hidden_rule(LAYOUT.width), exposure._direct, 0.1 * exposure.wanted
     ).phasors
+    # A quarter for the lattice, and half as much again for a whole image (test_lattice_scenes).
     assert np.all(relative(found, exact) < 0.25 * exposure.error * 1.5)
 
 
@@ -114,7 +115,7 @@ def test_an_edge_between_the_last_node_and_the_border_of_the_image_is_found(vari
     np.testing.assert_array_equal(edges.pixels, 8 * np.arange(6) + 7)
     lit = exposure._direct.edge_samples.radiance > 0
     share = np.bincount(edges.pixel[lit], edges.weights[lit])[edges.pixels]
-    np.testing.assert_allclose(share, edge_x - 7, atol=3e-5)
+    np.testing.assert_allclose(share, edge_x - 7, atol=3e-5)  # as in test_edge_pixels
 
 
 def test_a_lamp_beside_the_camera_still_casts_shadows(variant, tmp_path):
@@ -145,6 +146,7 @@ def test_coarser_edges_cost_a_small_part_of_the_wanted_error(variant, tmp_path, 
     fine = expose(corner.load(tmp_path), variant, lights=512, layout=LAYOUT)
     coarse = replace(fine, edge_divisions=ManyLightOptions(error=error).edge_divisions)
     exact, found = fine.phasors(), coarse.phasors()
+    # One division less is half as many nodes, and some more where edges cross.
     assert len(coarse._direct.edges.points) < 0.6 * len(fine._direct.edges.points)
     off = np.linalg.norm(found.total - exact.total, axis=(0, 1))
     # Beside the wanted error, an independent tenth of it changes the sum of squares by 1 %.

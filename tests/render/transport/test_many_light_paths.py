@@ -72,7 +72,7 @@ def test_an_object_half_behind_a_black_blocker_gives_less_and_what_paths_say(var
     scene = free.but(blockers=(blocker,)).load(tmp_path)
     shaded = measure(scene, variant, layout=SMALL)
     share = np.abs(shaded.hidden).sum() / np.abs(clear.hidden).sum()
-    assert 0.2 < share < 0.9
+    assert 0.2 < share < 0.9  # so that the shadow matters
     assert_agrees_with_paths(shaded, path_phasors(scene, variant, seeds=range(12), spp=1024, layout=SMALL))
 
 
@@ -85,5 +85,5 @@ def test_objects_shade_each_other(variant, tmp_path):
     alone = [
         measure(corner.but(hidden=(one,)).load(tmp_path), variant, layout=SMALL).hidden for one in (near, far)
     ]
-    assert np.abs(both.hidden).sum() < 0.97 * np.abs(sum(alone)).sum()
+    assert np.abs(both.hidden).sum() < 0.97 * np.abs(sum(alone)).sum()  # so that shadows matter
     assert_agrees_with_paths(both, path_phasors(scene, variant, seeds=range(12), spp=1024, layout=SMALL))

@@ -73,7 +73,10 @@ def cells_of(scene):
 
 
 def test_direct_light_is_that_of_the_quadrature(exposed):
-    """Cells of the projector's film are given to pixels as a whole: those at edges make the error."""
+    """Cells of the projector's film are given to pixels as a whole: those at edges make the error.
+
+    How large it is depends on how the edges lie in the pixels, so the limits are chosen, not derived.
+    """
     _, scene, exposure = exposed
     cells = 40 if scene.emitter.dots else 300
     expected = CubeLight(scene, HZ, 1, 1).direct_image(LAYOUT.width, LAYOUT.height, cells)
@@ -90,7 +93,8 @@ def test_transients_have_the_phasors_of_the_measurement(exposed):
     phi = MeasurementMatrix(HZ, LAYOUT.bin_count, LAYOUT.bin_width_m, splat="quadratic")
     found = phi.apply_streaming(exposure.row_blocks())
     image = exposure.phasors()
-    assert np.linalg.norm(found - image.direct - image.hidden) < 0.02 * np.linalg.norm(image.hidden)
+    # docs/science/renderer.md: 1 % of the hidden part
+    assert np.linalg.norm(found - image.direct - image.hidden) < 0.01 * np.linalg.norm(image.hidden)
 
 
 @pytest.mark.parametrize("name", PROJECTORS)

@@ -78,7 +78,8 @@ def test_the_material_is_mitsubas(variant, hits, roughness, base):
     (found, weight), (expected, expected_weight) = (b.sample(context, si, *random) for b in (ours, theirs))
     lit = np.array(expected_weight.x) > 0
     assert lit.mean() > 0.5
-    np.testing.assert_allclose(np.array(weight.x), np.array(expected_weight.x), rtol=1e-4, atol=1e-6)
+    # Quotients of value and density, each of which may be off by 2e-5.
+    np.testing.assert_allclose(np.array(weight.x), np.array(expected_weight.x), rtol=4e-5, atol=1e-6)
     np.testing.assert_array_equal(np.array(found.wo)[:, lit], np.array(expected.wo)[:, lit])
     kinds = [np.array(each.sampled_component)[lit] for each in (found, expected)]
     np.testing.assert_array_equal(*kinds)
