@@ -11,15 +11,11 @@ from typing import Any
 from disk import PathLike, sha256_of, whole_folder
 from disk.extras import need
 from model.data.corner import wall_view
-from model.data.shards import open_shards
+from model.judging.judged_split import open_split
 from model.judging.judging import Bench, judge_split, shown_scenes
-from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
     EvaluationError,
-    refuse_many_corners,
-    refuse_missing_split,
     refuse_other_contents,
-    refuse_other_images,
     refuse_other_masks,
     refuse_scenes_not_shown,
     refuse_scenes_without_render,
@@ -99,14 +95,10 @@ def evaluate(
             "the masks are those of the depth, for which a threshold of the amplitude means nothing: leave "
             "--mask-threshold out, or add --mask-from amplitude"
         )
-    refuse_missing_split(dataset, split)
     refuse_scenes_not_shown(dataset, split, scenes)
-    shards = open_shards(dataset, progress=progress)
-    refuse_other_images(predictor.config, shards, run, dataset)
-    refuse_many_corners(predictor.config, dataset)
+    config = predictor.config
+    shards, _, unlike = open_split(config, run, dataset, split, force=force, progress=progress)
     refuse_scenes_without_render(shards, dataset, scenes)
-    judged = shards.ids(shards.rows(split))
-    unlike = refuse_other_corner(predictor.config, dataset, judged, run, force=force)
     readout = predictor.config.readout
     if mask_from is not None:
         readout = replace(readout, mask_from=mask_from)

@@ -20,7 +20,7 @@ from itof.sensor.settings import MOST_FRAMES, SensorSettings
 from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.sensor_draws import view_problem
-from model.data.shards import Shards, open_shards
+from model.data.shards import Shards
 from model.judging.exposure_results import (
     FIGURE_FILE,
     ExposureReport,
@@ -28,14 +28,8 @@ from model.judging.exposure_results import (
     files_of_exposures,
     write_exposure_figure,
 )
-from model.judging.other_corner import refuse_other_corner
-from model.judging.refusals import (
-    EvaluationError,
-    nothing_rendered,
-    refuse_many_corners,
-    refuse_missing_split,
-    refuse_other_images,
-)
+from model.judging.judged_split import open_split
+from model.judging.refusals import EvaluationError
 from model.network.channels import ChannelError
 from model.prediction.predictor import Predictor, load
 from model.run_folder.shipped import run_folder
@@ -96,17 +90,13 @@ def judge_exposures(
         )
     if dataset.is_measured:
         raise EvaluationError(f"{dataset.root} holds captures of a camera: no other one can measure them")
-    refuse_missing_split(dataset, split)
     predictor = load(run, device)
     if predictor.config.inputs.needs_capture and not corner_exposures:
         raise EvaluationError(f"{run} was trained for a capture of the empty corner: give --corner-exposures")
-    shards = open_shards(dataset, progress=progress)
-    refuse_other_images(predictor.config, shards, run, dataset)
-    refuse_many_corners(predictor.config, dataset)
-    rows = shards.rows(split)[:first]
-    if not rows:
-        raise nothing_rendered(dataset, split)
-    for sentence in refuse_other_corner(predictor.config, dataset, shards.ids(rows), run, force=force):
+    shards, rows, unlike = open_split(
+        predictor.config, run, dataset, split, force=force, progress=progress, first=first
+    )
+    for sentence in unlike:
         _log.warning("warning: %s", sentence)
     frequencies_hz = predictor.config.inputs.frequencies_hz
     size = shards.manifest.width, shards.manifest.height

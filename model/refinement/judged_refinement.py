@@ -14,15 +14,8 @@ from pydantic import TypeAdapter
 from disk import PathLike, is_partial, whole_file, write_text
 from disk.inner_paths import inside
 from disk.plain_file import read_text
-from model.data.shards import open_shards
-from model.judging.other_corner import refuse_other_corner
-from model.judging.refusals import (
-    EvaluationError,
-    nothing_rendered,
-    refuse_many_corners,
-    refuse_missing_split,
-    refuse_other_images,
-)
+from model.judging.judged_split import open_split
+from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
 from model.refinement.family import Family, family_of, refuse_misfit
 from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
@@ -81,17 +74,12 @@ def refine_split(
         raise EvaluationError(f"the number of workers is at least 1, got {workers}")
     refuse_misfit(largest_misfit)
     run, out = run_folder(run), Path(out).resolve()
-    refuse_missing_split(dataset, split)
     fitted = tuple(sorted(set(unknown)))
     family = _family(dataset, objects, fitted)
     predictor = load(run, device)
-    refuse_many_corners(predictor.config, dataset)
-    shards = open_shards(dataset, progress=progress)
-    refuse_other_images(predictor.config, shards, run, dataset)
-    rows = shards.rows(split)
-    if not rows:
-        raise nothing_rendered(dataset, split)
-    for sentence in refuse_other_corner(predictor.config, dataset, shards.ids(rows), run, force=force):
+    config = predictor.config
+    shards, rows, unlike = open_split(config, run, dataset, split, force=force, progress=progress)
+    for sentence in unlike:
         _log.warning("warning: %s", sentence)
     recipe = Recipe(
         predictor.config.run_id,
