@@ -44,10 +44,10 @@ class Frustum:
         half = float(np.tan(np.radians(self.horizontal_fov_deg) / 2))
         return np.array([half, half * self.height / self.width])
 
-    def rays(self, most: int = _RAYS) -> Points:
+    def rays(self) -> Points:
         """(N, 3) rays through an even grid of places in the image, from top to bottom, with depth 1."""
         size = (self.width, self.height)
-        counts = [max(2, round(most * side / max(size))) for side in size]
+        counts = [max(2, round(_RAYS * side / max(size))) for side in size]
         x, y = (reach * (2 * np.arange(n) + 1 - n) / n for reach, n in zip(self._reach, counts, strict=True))
         across, down = (axis.ravel() for axis in np.meshgrid(x, -y))
         own = np.stack([across, down, -np.ones_like(across)], axis=1)

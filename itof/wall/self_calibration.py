@@ -19,7 +19,7 @@ from typing import Final
 
 from array_api_compat import array_namespace
 
-from itof.arrays import A, Array, PhasorsOf
+from itof.arrays import A, PhasorsOf
 from itof.frequency_images import FrequencyImages, Slopes
 from itof.other_surfaces import ELSEWHERE_RAD
 from itof.wall.expected_wall import ExpectedWall, strength_elsewhere
@@ -40,7 +40,6 @@ def calibrate(
     wall: ExpectedWall[A],
     *,
     wiggling: bool = False,
-    start_per_m: Array | None = None,
     weights: Slopes[A] | None = None,
 ) -> WallFit[A]:
     """Fit plane, phase offsets and, with `wiggling`, the four-cycle error to each image.
@@ -48,10 +47,9 @@ def calibrate(
     Parameters
     ----------
     phasor : (..., H, W, F) complex. Pixels that are 0 at some frequency are not used.
-    wall : the expected wall, with arrays of the library and on the device of `phasor`. Its `direct` may be a
-        capture of the empty corner (`ExpectedWall.captured`).
-    start_per_m : (..., 3) plane to start from; by default the expected one, which must be right to about
-        c / 8f. `itof.wall.wall_search.plane_from_nothing` finds another one.
+    wall : the expected wall, with arrays of the library and on the device of `phasor`; the steps start there,
+        so it must be right to about c / 8f. Its `direct` may be a capture of the empty corner
+        (`ExpectedWall.captured`).
     weights : `brightness_of_wall` of the images, if it is known.
 
     A wall of N cameras (`ExpectedWall.stacked`) is for N images (N, H, W, F), one each.
@@ -62,8 +60,7 @@ def calibrate(
     problem = phases_over(phasor, wall, wiggling=wiggling, weights=weights)
     # An odd distance takes other columns in each row.
     few = problem.thinned(2 * (problem.phases.shape[-1] // (2 * _FIRST_PIXELS)) + 1)
-    start = wall.plane_per_m if start_per_m is None else start_per_m
-    plane = xp.broadcast_to(xp.astype(start, xp.float64), (*phasor.shape[:-3], 3))
+    plane = xp.broadcast_to(xp.astype(wall.plane_per_m, xp.float64), (*phasor.shape[:-3], 3))
     local = few.first_guess(plane)
     for step, width_rad in enumerate(_WIDTHS_RAD, 1):
         pixels = problem if step == len(_WIDTHS_RAD) else few

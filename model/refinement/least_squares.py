@@ -29,6 +29,7 @@ _DAMPING, _MORE, _LESS, _LEAST_DAMPING = 1e-2, 4.0, 0.2, 1e-5
 _REFLECTANCE = (0.01, 1.5)  # above 1: the model and its quadrature may be too dark
 _ROUNDS: Final = 2  # of the reflectance: phases are not quite in proportion to the light of bright objects
 _TRIALS = 4  # of larger damping, before it is a minimum
+_ENOUGH: Final = 1e-3  # a step that lowers the squared misfit by a smaller share is the last
 _REUSED: Final = 2
 _RIDGE: Final = 1e-12
 _POSES: Final = Fitted()
@@ -223,7 +224,7 @@ class _Going:
         damping = self.damping * _MORE**trial * np.diag(normal) + least
         return within_reach(self.candidate, numbers, np.linalg.solve(normal + np.diag(damping), -slope))
 
-    def takes(self, change: Floats, candidate: Scene, misfit: Floats, trial: int, enough: float) -> bool:
+    def takes(self, change: Floats, candidate: Scene, misfit: Floats, trial: int) -> bool:
         """Go to a candidate if its misfit is smaller; whether it was."""
         before, after = self.misfit @ self.misfit, misfit @ misfit
         if not after < before:
@@ -233,7 +234,7 @@ class _Going:
         self.slopes = numbers, jacobian + np.outer(wrong, change / (change @ change))
         self.candidate, self.misfit = candidate, misfit
         self.damping = max(self.damping * _MORE**trial * _LESS, _LEAST_DAMPING)
-        self._grows_old(is_enough=bool(before - after < enough * before))
+        self._grows_old(is_enough=bool(before - after < _ENOUGH * before))
         return True
 
     def _grows_old(self, is_enough: bool) -> None:
@@ -251,7 +252,6 @@ def least_misfits(
     *,
     steps: int,
     fitted: Fitted = _POSES,
-    enough: float = 1e-3,
     one_sided: bool = False,
 ) -> list[Fit]:
     """The nearest minimum of the misfit of each start, after at most so many steps.
@@ -260,7 +260,6 @@ def least_misfits(
     ----------
     starts : comparisons with the same rays and one engine.
     fitted : what is unknown besides poses.
-    enough : stop when a step lowers the squared misfit by a smaller share.
     one_sided : differences of half the price, for the first steps; of comparisons that are not `fine`.
     """
     if not starts:
@@ -271,7 +270,7 @@ def least_misfits(
     for _ in range(steps):
         going = [fit for fit in fits if not fit.has_ended]
         if going:
-            _step(going, fitted, enough, one_sided)
+            _step(going, fitted, one_sided)
     return [
         Fit(
             *(fit.comparison, fit.candidate),
@@ -281,7 +280,7 @@ def least_misfits(
     ]
 
 
-def _step(fits: Sequence[_Going], fitted: Fitted, enough: float, one_sided: bool) -> None:
+def _step(fits: Sequence[_Going], fitted: Fitted, one_sided: bool) -> None:
     """One step of each fit: it takes the smallest of a few dampings that lowers its misfit."""
     old = [fit for fit in fits if fit.age is None]
     few = old if fitted.sizes else [fit.with_few_nodes for fit in old]
@@ -298,7 +297,7 @@ def _step(fits: Sequence[_Going], fitted: Fitted, enough: float, one_sided: bool
         left = [
             fit
             for fit, change, (_, candidate), misfit in zip(left, changes, asked, tried, strict=True)
-            if not fit.takes(change, candidate, misfit, trial, enough)
+            if not fit.takes(change, candidate, misfit, trial)
         ]
     for fit in left:
         fit.stays()
