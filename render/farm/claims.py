@@ -23,7 +23,7 @@ from disk import NightError, inside
 from disk.locks import is_same_file, lock, open_lock_file
 from disk.plain_file import read_plain
 
-_CLAIMS, _RUN, _NOTE = ".claims", ".run", ".note"
+_CLAIMS, _RUN, _RECORD_LOCK = ".claims", ".run", ".note"
 _MOST_RUNS, _MOST_BYTES = 16, 4096  # of a claim file: runs whose attempts it counts, and its size
 
 
@@ -153,7 +153,7 @@ def _other_run(renders: Path, others: str) -> OtherRunError:
 def rendering_record_locked(renders: Path) -> Iterator[None]:
     """Wait for the lock on ``rendering.json`` and hold it while the block runs."""
     renders.mkdir(exist_ok=True)  # no parents: a deleted dataset must not come back
-    descriptor = open_lock_file(renders / _NOTE)
+    descriptor = open_lock_file(renders / _RECORD_LOCK)
     try:
         lock(descriptor, fcntl.LOCK_EX)
         yield

@@ -112,18 +112,6 @@ def test_any_frequency_comes_back_exactly(tmp_path):
     np.testing.assert_array_equal(back, z)
 
 
-def test_a_path_may_be_text(tmp_path, cube):
-    name = str(tmp_path / "a.exr")
-    with TransientWriter(name, LAYOUT, {}) as writer:
-        writer.write_rows(cube)
-    with TransientReader(name) as reader:
-        np.testing.assert_array_equal(reader.read_rows(0, 7), cube)
-    write_image(name, {"Y": cube[..., 0]}, {})
-    np.testing.assert_array_equal(read_image(name).channel("Y"), cube[..., 0])
-    with pytest.raises(ImageFileError, match="does not exist"):
-        TransientReader(str(tmp_path / "nowhere.exr"))
-
-
 def test_the_transfer_function_of_a_files_splat_is_divided_out(tmp_path):
     cube = np.random.default_rng(1).random((7, 5, 11), dtype=np.float32)
     for splat in ("quadratic", "tent", "point"):
