@@ -77,8 +77,8 @@ def capture_of(
 ) -> Capture:
     """Average frames.
 
-    Each frame is demodulated, then resampled to a pinhole camera if the sidecar has a lens, then binned. All
-    of this is linear in the phasors. Then the frames are averaged.
+    Each frame is demodulated, then resampled to a pinhole camera if the sidecar has a lens or a window, then
+    binned. All of this is linear in the phasors. Then the frames are averaged.
 
     Raises
     ------
@@ -86,7 +86,8 @@ def capture_of(
     """
     pixels = sensor_pixels(raw, sidecar)
     height, width = pixels.good.shape
-    fov_deg = sidecar.horizontal_fov_deg
+    straight = Undistortion.of_window(sidecar.lens, raw.sensor, sidecar.horizontal_fov_deg, sidecar.window)
+    fov_deg = sidecar.horizontal_fov_deg if straight is None else straight.fov_deg
     binning = Binning.of(
         (width, height),
         fov_deg,
@@ -94,11 +95,7 @@ def capture_of(
         size=shape.size,
         wanted_fov_deg=shape.horizontal_fov_deg,
     )
-    straight, good = None, pixels.good
-    if sidecar.lens is not None:
-        straight = Undistortion.of(sidecar.lens, width, height, fov_deg)
-        good = straight.good(pixels.good)
-    bins = binning.of_pixels(good)
+    bins = binning.of_pixels(pixels.good if straight is None else straight.good(pixels.good))
 
     def frames() -> Iterator[NDArray[np.complex128]]:
         for z in frame_phasors(raw, sidecar):

@@ -51,9 +51,9 @@ class SensorPixels:
 
 def frame_phasors(raw: RawFrames, sidecar: Sidecar) -> Iterator[Complexes]:
     """(H, W, F) phasors of each frame, per second of exposure; their phases grow with distance."""
-    signs = _row_signs(raw.values.shape[4]) if sidecar.alternating_row_sign else None
+    signs = _row_signs(raw, sidecar) if sidecar.alternating_row_sign else None
     weights = phasor_weights(sidecar.steps, sidecar.taps) if sidecar.is_raw else None
-    turn = np.exp(-1j * np.array(sidecar.phase_offsets_rad)) if sidecar.phase_offsets_rad else None
+    turn = _turn(raw, sidecar)
     dark = None if raw.dark is None else raw.dark.mean(axis=0, dtype=np.float64)
     for place, exposure_s in enumerate(raw.exposures_s):
         frame = raw.values[place]  # (F, S, T, H, W)
@@ -66,8 +66,16 @@ def frame_phasors(raw: RawFrames, sidecar: Sidecar) -> Iterator[Complexes]:
             z = _image(frame, partner, sidecar)[:, 0, 0]
         z = z if sidecar.phase_sign > 0 else z.conj()
         z = z if signs is None else z * signs[:, None]
-        z = z if turn is None else z * turn[:, None, None]
+        z = z if turn is None else z * turn
         yield np.moveaxis(z, 0, -1) / exposure_s
+
+
+def _turn(raw: RawFrames, sidecar: Sidecar) -> Complex | None:
+    """Factors that take out the phase offsets of the frequencies, and of the pixels: (F or 1, H or 1, W or 1)."""
+    if not sidecar.phase_offsets_rad and raw.offsets_rad is None:
+        return None
+    whole = np.array(sidecar.phase_offsets_rad or (0.0,))[:, None, None]
+    return np.asarray(np.exp(-1j * (whole + (0.0 if raw.offsets_rad is None else raw.offsets_rad))))
 
 
 def sensor_pixels(raw: RawFrames, sidecar: Sidecar) -> SensorPixels:
@@ -95,6 +103,7 @@ def sensor_pixels(raw: RawFrames, sidecar: Sidecar) -> SensorPixels:
             dead &= (values == first).all(axis=(0, 1, 2))
     if not sidecar.is_raw:
         dead = _dark_somewhere(raw, sidecar)
+    dead |= raw.lost
     _refuse_units(raw, sidecar)
     if sidecar.is_raw:
         refuse_range(raw, sidecar)
@@ -137,10 +146,13 @@ def _period(sidecar: Sidecar) -> float:
     return 360.0 if sidecar.phase_unit == "deg" else 2 * np.pi
 
 
-def _row_signs(height: int) -> NDArray[np.float64]:
-    """(H,) 1, -1, 1, ... from both edges to the middle."""
+def _row_signs(raw: RawFrames, sidecar: Sidecar) -> NDArray[np.float64]:
+    """(H,) 1, -1, 1, ... from both edges of the sensor to its middle."""
+    height = raw.sensor[1]
     row = np.arange(height)
-    return 1.0 - 2.0 * (np.minimum(row, height - 1 - row) % 2)
+    signs = 1.0 - 2.0 * (np.minimum(row, height - 1 - row) % 2)
+    first = 0 if sidecar.window is None else sidecar.window[1]
+    return signs[first : first + raw.values.shape[-2]]
 
 
 def _dark_somewhere(raw: RawFrames, sidecar: Sidecar) -> Mask:
@@ -175,8 +187,21 @@ def _refuse_units(raw: RawFrames, sidecar: Sidecar) -> None:
             raise CaptureError(
                 f"{raw.source}: the phases span only {span:g} of 360 degrees: correct phase_unit; radians?"
             )
-    if sidecar.layout == "amplitude-depth":
+    if sidecar.layout in ("amplitude-depth", "depth"):
         _refuse_depths(raw, sidecar)
+    if sidecar.layout == "depth":
+        low, high = (float(each) / _PER_METRE[sidecar.depth_unit] for each in _middle_depths(raw))
+        raise CaptureError(
+            f"{raw.source}: it holds one depth image for all frequencies ({low:.2f} to {high:.2f} m in most "
+            "pixels): the camera has computed it from the phases, which are lost, and with them the hidden "
+            "light: record raw frames or the phases of each frequency"
+        )
+
+
+def _middle_depths(raw: RawFrames) -> NDArray[np.float64]:
+    """Depths that 5 % of the pixels with a value are below and above."""
+    measured = raw.values[raw.values > 0]
+    return np.percentile(measured, [5, 95]) if measured.size else np.zeros(2)
 
 
 def _refuse_depths(raw: RawFrames, sidecar: Sidecar) -> None:

@@ -13,9 +13,9 @@ from disk import PathLike
 from disk.quantities import FREQUENCY, fov_problem
 from itof.arrays import Phasors
 from itof.capture.capture import ImageShape, read_capture
+from itof.capture.capture_files import refuse_repeated
 from itof.capture.facts import CaptureFacts
 from itof.capture.importing import paths
-from itof.capture.raw_frames import refuse_repeated
 from itof.capture.record import read_import_record
 from itof.capture.sidecar import MOST_FREQUENCIES, CaptureError, Sidecar
 from itof.capture.sidecar_files import load_sidecar

@@ -12,8 +12,8 @@ import numpy as np
 
 from disk import PathLike, inside, remove_leftovers, sha256_of, whole_file, whole_files
 from itof.capture.capture import Capture, ImageShape, read_capture
+from itof.capture.capture_files import refuse_repeated
 from itof.capture.facts import milliradians
-from itof.capture.raw_frames import refuse_repeated
 from itof.capture.record import ImportRecord, record_path, refuse_foreign, write_import_record
 from itof.capture.sidecar import CaptureError
 from itof.capture.sidecar_files import load_sidecar
@@ -100,8 +100,10 @@ def import_capture(
     arrays = {name: np.where(lit[..., None], z, 0).astype(np.complex64) for name, z in images.items()}
     contents = FileContents(arrays | {"frequencies_hz": np.array(capture.frequencies_hz)}, [])
     measurement_of(out, contents)  # what prediction will say about it
-    dark = [] if meaning.dark_file is None else [inside(folder, meaning.dark_file)]
-    sources = [{str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, dark)]
+    calibration = [] if meaning.calibration_file is None else [inside(folder, meaning.calibration_file)]
+    sources = [
+        {str(file.resolve()): sha256_of(file) for file in each} for each in (files, empty_files, calibration)
+    ]
     record_file = record_path(out)
     if out.parent.is_dir():
         for name in (out.name, record_file.name):
@@ -118,7 +120,7 @@ def import_capture(
             facts=capture.facts,
             reference_facts=None if reference is None else reference.facts,
             generator=f"night-eval capture import {version('night-nlos')}",
-            dark_inputs=sources[2],
+            calibration_inputs=sources[2],
         )
         with whole_file(stage / record_file.name) as partial:
             write_import_record(partial, record)

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from disk import OutsideError, inside, sha256_of
+from disk import OutsideError, inside
 from disk.counted import counted
 from itof.arrays import Numbers
-from itof.capture.frame_axes import ordered, stacked
-from itof.capture.sidecar import TOO_COARSE, CaptureError, Sidecar
-from itof.files.array_claims import RefusedError
-from itof.files.measurement_process import FileContents, read_contents
+from itof.capture.capture_files import FEW, FileGroup, contents_of
+from itof.capture.frame_axes import stacked
+from itof.capture.sidecar import CaptureError, Sidecar
+from itof.files.measurement_process import FileContents
 
-ENDINGS: Final = (".npz", ".h5", ".hdf5", ".exr", ".mat")
-SMALLEST: Final = 1e-30  # largest number of an array, whose square is not 0
-LARGEST: Final = 1e30  # number whose square can be summed
-_MOST_NAMES = 20  # of arrays in a sentence
 _SHORTEST_S, _LONGEST_S = 1e-12, 1e6  # of an exposure
-_FEW = 3  # files in a sentence
+_OF_PIXELS = ("frequency", "row", "column")  # axes of phase offsets
 
 
 @dataclass(frozen=True)
@@ -36,15 +30,30 @@ class RawFrames:
     values : N frames of taps, differences, phasors (or their real parts), phases or depths.
     partner : amplitudes or imaginary parts of the same shape; None if the layout has none.
     dark : dark frames, with the size 1 on axes that they lack; None if there are none.
+    offsets_rad : phase offsets of the pixels, (F or 1, H, W); None if there are none.
+    lost : (H, W) pixels that are NaN or infinite somewhere; the arrays hold 0 there.
     exposures_s : (N, F) exposure times, seconds; all 1 if they are not given.
     source : the files, for messages.
+    sensor : width and height of the sensor, of which H and W are the window, pixels.
     """
 
     values: Numbers
     partner: Numbers | None
     dark: Numbers | None
+    offsets_rad: Numbers | None
+    lost: NDArray[np.bool_]
     exposures_s: NDArray[np.float64]
     source: str
+    sensor: tuple[int, int]
+
+    def without_lost(self) -> RawFrames:
+        """The same with 0 in lost pixels."""
+        partner, dark, offsets = (
+            None if each is None else np.where(self.lost, 0, each)
+            for each in (self.partner, self.dark, self.offsets_rad)
+        )
+        values = np.where(self.lost, 0, self.values)
+        return replace(self, values=values, partner=partner, dark=dark, offsets_rad=offsets)
 
 
 def read_frames(files: Sequence[Path], sidecar: Sidecar, folder: Path) -> RawFrames:
@@ -52,9 +61,9 @@ def read_frames(files: Sequence[Path], sidecar: Sidecar, folder: Path) -> RawFra
 
     Parameters
     ----------
-    files : files of the capture. With ``files = "frequencies"``, as many for each frequency, in their order.
-        Files that hold the same array hold further frames.
-    folder : that of the sidecar, where the file of the dark frames is.
+    files : files of the capture, in the order that ``files`` of the sidecar says. Files that hold the same array
+        hold further frames.
+    folder : that of the sidecar, where the calibration file is.
 
     Raises
     ------
@@ -63,185 +72,113 @@ def read_frames(files: Sequence[Path], sidecar: Sidecar, folder: Path) -> RawFra
     """
     read: list[tuple[Path, FileContents]] = []
     for file in files:
-        read.append((file, _contents(file, sidecar.wanted, _bytes_of(read))))
+        read.append((file, contents_of(file, sidecar, _bytes_of(read))))
     return frames_of(read, sidecar, folder)
-
-
-def refuse_repeated(files: Sequence[Path]) -> None:
-    """Refuse files of a capture, and of its empty corner, one of which is there twice.
-
-    Frames that are counted twice have no noise of their own, and a capture over itself has no hidden light.
-
-    Raises
-    ------
-    CaptureError : two paths lead to one file, or two files have the same SHA-256.
-    """
-    seen: dict[Path | tuple[int, str], Path] = {}
-    places = [Path(os.path.realpath(file)) for file in files]  # `resolve` fails on links that go round
-    sizes = [place.stat().st_size if place.is_file() else -1 for place in places]
-    for file, place, size in zip(files, places, sizes, strict=True):
-        if (first := seen.setdefault(place, file)) is not file:
-            raise CaptureError(f"{file} is given twice, also as {first}: give each file once")
-        if size < 0 or sizes.count(size) == 1:
-            continue  # not a file, which reading refuses; or its content must be another one
-        if (first := seen.setdefault((size, sha256_of(place)), file)) is not file:
-            raise CaptureError(f"{file} and {first} have the same content: give each capture once")
 
 
 def frames_of(files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar, folder: Path) -> RawFrames:
     """The frames in the arrays of files; `CaptureError` if they are not as the sidecar says."""
     names = [str(file) for file, _ in files]
-    source = ", ".join(names[:_FEW]) + (", ..." if len(names) > _FEW else "")
-    count = len(sidecar.frequencies_hz) if sidecar.files == "frequencies" else 1
-    if not files or len(files) % count:
-        raise CaptureError(
-            f"{len(files)} files were given, and the sidecar says that each holds one of {count} "
-            "frequencies: give as many files for each frequency, in the order of frequencies_hz"
-        )
-    each = len(files) // count
-    parts = [_Group(files[at : at + each], sidecar) for at in range(0, len(files), each)]
-    arrays = [part.read(sidecar.arrays) for part in parts]
-    for part, whole in zip(parts, arrays, strict=True):
-        _refuse_sizes(sidecar, whole, str(part.files[0][0]))
-    values = _joined(arrays, source)
+    source = ", ".join(names[:FEW]) + (", ..." if len(names) > FEW else "")
+    calibration = _calibration(files, sidecar, folder, source)
+    if calibration is not None:  # formulas may use its arrays
+        known = calibration.files[0][1].arrays
+        files = [(file, FileContents(known | each.arrays, each.names)) for file, each in files]
+    parts = _groups(files, sidecar)
+    values = _joined(parts, sidecar.arrays, sidecar, source)
+    _refuse_sizes(sidecar, values, source)
     others = sidecar.amplitude_arrays or sidecar.imaginary_arrays
-    partner = _joined([part.read(others) for part in parts], source) if others else None
+    partner = _joined(parts, others, sidecar, source) if others else None
     _refuse_other_shape(values, partner, source)
     exposures = _exposures(sidecar, parts, values.shape[0], source)
-    dark = _dark(sidecar, parts, folder, values.shape, source)
-    return RawFrames(values, partner, dark, exposures, source)
+    dark = _dark(sidecar, parts, calibration, values.shape)
+    offsets = _offsets(sidecar, parts, calibration, values.shape)
+    lost = np.zeros(values.shape[-2:], np.bool_)
+    for each in (values, partner, dark, offsets):
+        if each is not None and each.dtype.kind in "fc":
+            lost |= ~np.isfinite(each).all(axis=tuple(range(each.ndim - 2)))
+    raw = RawFrames(values, partner, dark, offsets, lost, exposures, source, parts[0].sensor)
+    return raw if not lost.any() else raw.without_lost()
 
 
-class _Group:
-    """Files that together hold some frequencies."""
+def _groups(files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar) -> list[FileGroup]:
+    """The files of each frequency, or of each step of each frequency, or all of them."""
+    frequencies, steps = len(sidecar.frequencies_hz), len(sidecar.steps)
+    count = {"together": 1, "frequencies": frequencies, "steps": frequencies * steps}[sidecar.files]
+    if not files or len(files) % count:
+        what = "frequencies" if sidecar.files == "frequencies" else f"frequencies and {steps} steps"
+        raise CaptureError(
+            f"{len(files)} files were given, and the sidecar says that each holds one of {frequencies} {what}: "
+            "give as many files for each, in the order of frequencies_hz"
+        )
+    each = len(files) // count
+    sizes = _sizes(sidecar)
+    return [FileGroup(files[at : at + each], sidecar, sizes) for at in range(0, len(files), each)]
 
-    def __init__(self, files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar) -> None:
-        self.files, self.sidecar = files, sidecar
 
-    def read(self, names: tuple[str, ...], axes: tuple[str, ...] = ()) -> Numbers:
-        """The arrays of these names as one; those of several files are further frames."""
-        axes, along, source = axes or self.sidecar.axes, self.sidecar.stacked_along, str(self.files[0][0])
-        of_files = [
-            [self._view(file, contents, name, axes) for name in names] for file, contents in self.files
-        ]
-        of_names = list(zip(*of_files, strict=True))
-        for name, found in zip(names, of_names, strict=True):
-            if all(view is None for view in found):
-                raise _missing(name, self.files)
-        # Arrays that are frames come file by file, as the exposure times do.
-        groups = of_files if along == "frame" else of_names
-        given = [[view for view in group if view is not None] for group in groups]
-        return stacked([stacked(group, "frame", source) for group in given if group], along, source)
+def _sizes(sidecar: Sidecar) -> dict[str, int]:
+    """Sizes of the axes of one array."""
+    wanted = _whole_sizes(sidecar)
+    alone = {"together": (), "frequencies": ("frequency",), "steps": ("frequency", "step")}[sidecar.files]
+    return {axis: 1 if axis in (*alone, sidecar.stacked_along) else size for axis, size in wanted.items()}
 
-    def _view(self, file: Path, contents: FileContents, name: str, axes: tuple[str, ...]) -> Numbers | None:
-        """An array of a file with six axes; None if the file does not have it."""
-        values = contents.arrays.get(name)
-        if values is None:
-            return None
-        what = f"{file}: {name}"
-        _refuse_values(values, what)
-        if not self.sidecar.takes_complex(name):
-            _refuse_complex(values, what)
-        return ordered(values, axes, _sizes(self.sidecar), what)
 
-    def numbers(self, name: str) -> Numbers:
-        """All values of a list."""
-        found = [(file, contents.arrays[name]) for file, contents in self.files if name in contents.arrays]
-        if not found:
-            raise _missing(name, self.files)
-        for file, values in found:
-            _refuse_complex(values, f"{file}: {name}")
-        return np.concatenate([values.reshape(-1) for _, values in found])
+def _whole_sizes(sidecar: Sidecar) -> dict[str, int]:
+    """Sizes of the axes of all frames together."""
+    return {
+        "frequency": 1 if sidecar.layout == "depth" else len(sidecar.frequencies_hz),
+        "step": len(sidecar.steps) if sidecar.is_raw else 1,
+        "tap": len(sidecar.taps) if sidecar.layout == "taps" else 1,
+    }
 
-    def has(self, name: str) -> bool:
-        """Whether a file has an array of this name."""
-        return any(name in contents.arrays for _, contents in self.files)
+
+def _calibration(
+    files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar, folder: Path, source: str
+) -> FileGroup | None:
+    """The calibration file, whose arrays may have one frequency or all."""
+    if sidecar.calibration_file is None:
+        return None
+    try:
+        file = inside(folder, sidecar.calibration_file)
+        contents = contents_of(file, sidecar, _bytes_of(files))
+    except (OutsideError, CaptureError) as error:
+        raise CaptureError(f"calibration_file of the sidecar for {source}: {error}") from None
+    sizes = {axis: size for axis, size in _sizes(sidecar).items() if axis != "frequency"}
+    return FileGroup([(file, contents)], sidecar, sizes)
 
 
 def _bytes_of(files: Sequence[tuple[Path, FileContents]]) -> int:
     return sum(values.nbytes for _, contents in files for values in contents.arrays.values())
 
 
-def _contents(file: Path, wanted: tuple[str, ...], taken: int) -> FileContents:
-    """The arrays of a file, beside arrays of so many bytes that are in memory already."""
-    if not file.is_file():
-        raise CaptureError(f"{file} {'is a folder' if file.is_dir() else 'does not exist'}")
-    if file.suffix.lower() not in ENDINGS:
-        ending = f"the ending {file.suffix}" if file.suffix else "no ending"
-        raise CaptureError(f"{file} has {ending}: captures are read from {', '.join(ENDINGS)} files")
-    try:
-        return read_contents(file, wanted, taken=taken)
-    except RefusedError as error:
-        raise CaptureError(str(error)) from None
-
-
-def _missing(name: str, files: Sequence[tuple[Path, FileContents]]) -> CaptureError:
-    where = ", ".join(str(file) for file, _ in files[:_FEW])
-    there = ", ".join([name for _, contents in files for name in contents.names][:_MOST_NAMES])
-    return CaptureError(f"{where} has no array {name}; it holds {there or 'nothing'}: correct the sidecar")
-
-
-def _sizes(sidecar: Sidecar) -> dict[str, int]:
-    """Sizes of the axes of one array."""
-    sizes = {
-        "frequency": 1 if sidecar.files == "frequencies" else len(sidecar.frequencies_hz),
-        "step": len(sidecar.steps) if sidecar.is_raw else 1,
-        "tap": len(sidecar.taps) if sidecar.layout == "taps" else 1,
-    }
-    if sidecar.stacked_along in sizes:
-        sizes[sidecar.stacked_along] = 1
-    return sizes
+def _joined(
+    parts: list[FileGroup], names: tuple[str, ...], sidecar: Sidecar, source: str, axes: tuple[str, ...] = ()
+) -> Numbers:
+    """Arrays of the files of single frequencies and steps as one."""
+    along = sidecar.stacked_along
+    read = [part.read(names, axes or sidecar.axes, along) for part in parts]
+    frames = {each.shape[0] for each in read}
+    if len(frames) > 1:
+        raise CaptureError(
+            f"{source}: the frequencies have {', '.join(map(str, sorted(frames)))} frames: give as many for each"
+        )
+    if sidecar.files == "steps" and len(read) > 1:
+        steps = len(sidecar.steps)
+        read = [stacked(read[at : at + steps], "step", source) for at in range(0, len(read), steps)]
+    return stacked(read, "frequency", source)
 
 
 def _refuse_sizes(sidecar: Sidecar, values: Numbers, source: str) -> None:
     """Refuse frames without an axis that they need."""
-    names = ", ".join(sidecar.arrays[:_FEW]) + (", ..." if len(sidecar.arrays) > _FEW else "")
+    names = ", ".join(sidecar.arrays[:FEW]) + (", ..." if len(sidecar.arrays) > FEW else "")
     what = f"the array {names} has" if len(sidecar.arrays) == 1 else f"the arrays {names} together have"
-    wanted = {**_sizes(sidecar), "step": len(sidecar.steps), "tap": len(sidecar.taps)}
-    if sidecar.files == "together":
-        wanted["frequency"] = len(sidecar.frequencies_hz)
+    wanted = _whole_sizes(sidecar)
     for place, axis in ((1, "frequency"), (2, "step"), (3, "tap")):
         if values.shape[place] != wanted[axis]:
             raise CaptureError(
                 f"{source}: {what} the size {values.shape[place]} on the axis {axis}, not {wanted[axis]}: a "
                 "missing frequency, step or tap, or wrong axes?"
             )
-
-
-def _refuse_values(values: Numbers, what: str) -> None:
-    if values.dtype.kind in "iu" and values.dtype.itemsize == 1:
-        raise CaptureError(f"{what}: {TOO_COARSE}")
-    if not values.size:
-        raise CaptureError(f"{what} is empty: capture again")
-    if values.dtype.kind in "fc" and (bad := int(np.count_nonzero(~np.isfinite(values)))):
-        raise CaptureError(
-            f"{what} holds {bad} values that are NaN or infinite: write 0 for pixels without a value, and "
-            "for their amplitudes if there are any"
-        )
-    ends = np.abs(values) if values.dtype.kind == "c" else values
-    largest = max(abs(float(ends.max())), abs(float(ends.min())))
-    if 0 < largest < SMALLEST:
-        raise CaptureError(f"{what} holds at most {largest:g}, which is too small: write it in another unit")
-    if largest > LARGEST:
-        raise CaptureError(f"{what} holds {largest:g}, and {LARGEST:g} is the most: write it in another unit")
-
-
-def _refuse_complex(values: Numbers, what: str) -> None:
-    if values.dtype.kind == "c":
-        raise CaptureError(
-            f"{what} must hold real numbers, got {values.dtype}: is it another array, or the layout phasors?"
-        )
-
-
-def _joined(parts: list[Numbers], source: str) -> Numbers:
-    """Arrays of single frequencies as one."""
-    frames = {part.shape[0] for part in parts}
-    if len(frames) > 1:
-        raise CaptureError(
-            f"{source}: the frequencies have {', '.join(map(str, sorted(frames)))} frames: give as many for "
-            "each"
-        )
-    return stacked(parts, "frequency", source)
 
 
 def _refuse_other_shape(values: Numbers, partner: Numbers | None, source: str) -> None:
@@ -253,9 +190,10 @@ def _refuse_other_shape(values: Numbers, partner: Numbers | None, source: str) -
         )
 
 
-def _exposures(sidecar: Sidecar, parts: list[_Group], count: int, source: str) -> NDArray[np.float64]:
+def _exposures(sidecar: Sidecar, parts: list[FileGroup], count: int, source: str) -> NDArray[np.float64]:
     """(N, F) exposure times; files of single frequencies may have their own."""
-    name = sidecar.exposure_array
+    name, frequencies = sidecar.exposure_array, len(sidecar.frequencies_hz)
+    parts = parts[:: len(parts) // frequencies or 1]  # one for each frequency, or one
     if name is not None:
         own = parts if any(part.has(name) for part in parts[1:]) else parts[:1]
         times = [part.numbers(name).astype(np.float64) for part in own]
@@ -267,28 +205,49 @@ def _exposures(sidecar: Sidecar, parts: list[_Group], count: int, source: str) -
                 f"{source} holds {counted(count, 'frame')}, and {len(each)} exposure times are given: give "
                 "one positive number of seconds for each frame"
             )
-    frequencies = len(sidecar.frequencies_hz)
     return np.stack(times * (frequencies // len(times)), axis=1)
 
 
 def _dark(
-    sidecar: Sidecar, parts: list[_Group], folder: Path, shape: tuple[int, ...], source: str
+    sidecar: Sidecar, parts: list[FileGroup], calibration: FileGroup | None, shape: tuple[int, ...]
 ) -> Numbers | None:
     if not sidecar.dark_arrays:
         return None
     axes = sidecar.dark_axes or sidecar.axes
-    if sidecar.dark_file is not None:
-        try:
-            file = inside(folder, sidecar.dark_file)
-            taken = sum(_bytes_of(part.files) for part in parts)
-            parts = [_Group([(file, _contents(file, sidecar.dark_arrays, taken))], sidecar)]
-        except (OutsideError, CaptureError) as error:
-            raise CaptureError(f"dark_file of the sidecar for {source}: {error}") from None
-    dark = _joined([part.read(sidecar.dark_arrays, axes) for part in parts], str(parts[0].files[0][0]))
-    fits = all(size in (1, wanted) for size, wanted in zip(dark.shape[1:], shape[1:], strict=True))
-    if not fits:
+    if calibration is not None and calibration.has(sidecar.dark_arrays[0]):
+        dark = calibration.read(sidecar.dark_arrays, axes, sidecar.stacked_along)
+    else:
+        dark = _joined(parts, sidecar.dark_arrays, sidecar, parts[0].source, axes)
+    if not _fits(dark.shape[1:], shape[1:]):
         raise CaptureError(
             f"dark frames of the shape {dark.shape[1:]} do not fit frames of {shape[1:]} in frequencies, "
             "steps, taps, rows and columns"
         )
     return dark
+
+
+def _offsets(
+    sidecar: Sidecar, parts: list[FileGroup], calibration: FileGroup | None, shape: tuple[int, ...]
+) -> Numbers | None:
+    """(F or 1, H, W) phase offsets of the pixels; several arrays are those of the frequencies."""
+    names = sidecar.phase_offset_arrays
+    if not names:
+        return None
+    kept = _OF_PIXELS if len(names) == 1 else _OF_PIXELS[1:]
+    inner = ["*".join(part for part in axis.split("*") if part in kept) for axis in sidecar.axes]
+    axes, along = tuple(axis for axis in inner if axis), None if len(names) == 1 else "frequency"
+    each = (
+        parts[:: len(sidecar.steps)] if sidecar.files == "steps" else parts
+    )  # those of a frequency are the same
+    groups = [calibration] if calibration is not None and calibration.has(names[0]) else each
+    found = stacked([group.read(names, axes, along) for group in groups], "frequency", parts[0].source)
+    if found.shape[0] != 1 or not _fits(found.shape[1:2], shape[1:2]) or found.shape[-2:] != shape[-2:]:
+        raise CaptureError(
+            f"phase offsets of the shape {found.shape[1:2] + found.shape[-2:]} do not fit frames of "
+            f"{shape[1:2] + shape[-2:]} in frequencies, rows and columns"
+        )
+    return found[0, :, 0, 0]
+
+
+def _fits(sizes: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
+    return all(size in (1, whole) for size, whole in zip(sizes, wanted, strict=True))

@@ -26,7 +26,7 @@ class ImportRecord:
     schema_version : 1.
     measurement_sha256 : of the measurement file that this record is about.
     inputs, empty_inputs : the captured files and their SHA-256.
-    dark_inputs : the same for the file of the dark frames, if the sidecar names one.
+    calibration_inputs : the same for the calibration file, if the sidecar names one.
     sidecar : what the frames meant, with all keys.
     facts : of the capture; reference_facts : of that of the empty corner, if there is one.
     generator : the program and its version.
@@ -40,7 +40,7 @@ class ImportRecord:
     facts: CaptureFacts
     reference_facts: CaptureFacts | None
     generator: str
-    dark_inputs: dict[str, str] = field(default_factory=dict)
+    calibration_inputs: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.sidecar.frequencies_hz)

@@ -16,12 +16,15 @@ from disk.quantities import (
     ExposureTime,
     FieldOfView,
     FocalLength,
+    Fraction,
     Frequency,
     PhaseDeviation,
     PixelPlace,
     Radians,
 )
+from itof.capture.formulas import names_in
 from itof.capture.phase_steps import phasor_weights
+from itof.files.binary_reading import fields_of
 from itof.light import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
@@ -32,12 +35,14 @@ TOO_COARSE: Final = (
     "least 10 bits"
 )
 
-Layout = Literal["taps", "differences", "phasors", "amplitude-phase", "amplitude-depth"]
+Layout = Literal["taps", "differences", "phasors", "amplitude-phase", "amplitude-depth", "depth"]
 Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 Axis = Annotated[str, Field(max_length=60, pattern=r"^[a-z]+(\*[a-z]+)*$")]
 Names = Annotated[tuple[Name, ...], Field(max_length=256)]
 Angles = Annotated[tuple[Radians, ...], Field(max_length=64)]
 Count = Annotated[int, Field(ge=1, le=64)]
+Side = Annotated[int, Field(ge=1, le=2**20)]
+Pixel = Annotated[int, Field(ge=0, le=2**14)]
 
 
 class CaptureError(NightError):
@@ -58,6 +63,8 @@ class Lens:
     cx, cy : principal point, pixels; the centre of the upper left pixel is at 0, 0.
     k1, k2, k3 : radial distortion.
     p1, p2 : tangential distortion.
+    maps_to : ``pixel`` if the equation leads from a ray to its pixel; ``ray`` if the coefficients lead from x,
+        y of a pixel, (column - cx) / fx and (row - cy) / fy, to those of its ray.
 
     Source: D. C. Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32, 1966.
     """
@@ -71,6 +78,27 @@ class Lens:
     k3: Distortion = 0.0
     p1: Distortion = 0.0
     p2: Distortion = 0.0
+    maps_to: Literal["pixel", "ray"] = "pixel"
+
+
+@dataclass(frozen=True, config=STRICT)
+class Binary:
+    """How bare numbers lie in a file without a format of its own.
+
+    Attributes
+    ----------
+    fields : what a record holds, one after the other: ``NAME TYPE [SIDExSIDE] [stride BYTES]``
+        (`itof.files.binary_reading.fields_of`). Records follow each other to the end of the file.
+    shape : records of a frame; by default one. Arrays have the axes (frame, shape, sides).
+    header : bytes before the first record.
+    """
+
+    fields: Annotated[tuple[Name, ...], Field(min_length=1, max_length=64)]
+    shape: Annotated[tuple[Side, ...], Field(max_length=4)] = ()
+    header: Annotated[int, Field(ge=0, le=2**40)] = 0
+
+    def __post_init__(self) -> None:
+        fields_of(self.fields)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -80,16 +108,22 @@ class Sidecar:
     Attributes
     ----------
     layout : ``taps`` (numbers of each tap in each raw frame), ``differences`` (of two taps, DCS),
-        ``phasors``, ``amplitude-phase`` or ``amplitude-depth``.
+        ``phasors``, ``amplitude-phase``, ``amplitude-depth``, or ``depth``: one for all frequencies, which is
+        refused, because the hidden light is lost.
     arrays : names of the arrays in the file, or of the channels of an ``.exr``: taps, differences, phasors
-        (or their real parts), phases or depths. Several arrays are stacked along `stacked_along`.
+        (or their real parts), phases or depths. Several arrays are stacked along `stacked_along`. The array of
+        a file that has no names for it is ``array``. Each name can be a formula (`itof.capture.formulas`).
+    binary : how the arrays lie in a file without a format of its own.
+    most_nan : largest part of an array that may be NaN or infinite; these pixels count as dead.
+    window : left column, upper row, width and height of the part of the sensor that is used, pixels. The image
+        becomes that of a camera that is turned to the middle of the window.
     amplitude_arrays : the same for the amplitudes of the two last layouts.
     imaginary_arrays : the same for the imaginary parts, if `arrays` are the real parts of phasors.
     stacked_along : ``frame``, ``frequency``, ``step`` or ``tap``.
     axes : order of the axes of each array, of frame, frequency, step, tap, row and column. An axis of size
         one may be left out. ``frequency*step`` is one axis with all steps of the first frequency first.
     files : ``together`` if each file holds all frequencies; ``frequencies`` if the files are given frequency
-        by frequency, in the order of `frequencies_hz`.
+        by frequency, in the order of `frequencies_hz`; ``steps`` if those of a frequency are given step by step.
     frequencies_hz : modulation frequencies in the order of the arrays, Hz.
     horizontal_fov_deg : full horizontal field of view of the pinhole camera that the image is or becomes,
         degrees.
@@ -100,6 +134,8 @@ class Sidecar:
         half a period apart.
     phase_sign : 1 if the phases that result grow with distance; -1 if they fall.
     phase_offsets_rad : what the camera adds to the phases at each frequency, radians; it is subtracted.
+    phase_offset_arrays : arrays of the same for each pixel, radians; several are those of the frequencies. Their
+        axes are those of `axes` without frame, step and tap.
     phase_offsets_std_rad : how well this is known, standard deviations; the default of 0.1 is that of a
         camera that its maker calibrated. A wall's distance is as uncertain as they make it.
     phase_unit : of ``amplitude-phase``: ``rad``, ``deg``, or ``dn`` with `phase_period_dn` numbers per
@@ -108,7 +144,7 @@ class Sidecar:
     depth_along : ``ray`` of the pixel, or optical ``axis``.
     dark_arrays : names of the arrays of dark frames, which are averaged and subtracted; they have the axes of
         `arrays`, or `dark_axes`.
-    dark_file : file with the dark frames, in the folder of the sidecar; by default the file of the frames.
+    calibration_file : file in the folder of the sidecar with arrays that the files of the frames do not have.
     exposures_s : exposure time of each frame, seconds, if they differ; or `exposure_array`, the name of an
         array with them.
     saturation_dn : numbers that reach it, also negative ones, are saturated; by default 2^bits - 1 of
@@ -128,13 +164,17 @@ class Sidecar:
     amplitude_arrays: Names = ()
     imaginary_arrays: Names = ()
     stacked_along: Literal["frame", "frequency", "step", "tap"] | None = None
-    files: Literal["together", "frequencies"] = "together"
+    binary: Binary | None = None
+    most_nan: Fraction = 0.01
+    window: tuple[Pixel, Pixel, Side, Side] | None = None
+    files: Literal["together", "frequencies", "steps"] = "together"
     step_count: Count | None = None
     steps_rad: Angles = ()
     tap_count: Count | None = None
     taps_rad: Angles = ()
     phase_sign: Literal[1, -1] = 1
     phase_offsets_rad: Angles = ()
+    phase_offset_arrays: Names = ()
     phase_offsets_std_rad: Annotated[tuple[PhaseDeviation, ...], Field(max_length=MOST_FREQUENCIES)] = ()
     phase_unit: Literal["rad", "deg", "dn"] = "rad"
     phase_period_dn: ConverterNumber | None = None
@@ -142,7 +182,7 @@ class Sidecar:
     depth_along: Literal["ray", "axis"] = "ray"
     dark_arrays: Names = ()
     dark_axes: Annotated[tuple[Axis, ...], Field(max_length=6)] = ()
-    dark_file: Name | None = None
+    calibration_file: Name | None = None
     exposures_s: tuple[ExposureTime, ...] = ()
     exposure_array: Name | None = None
     saturation_dn: ConverterNumber | None = None
@@ -156,6 +196,7 @@ class Sidecar:
         _refuse_axes(self)
         _refuse_units(self)
         _refuse_pairs(self)
+        _ = self.wanted  # parses the formulas
         if self.is_raw:
             phasor_weights(self.steps, self.taps)
 
@@ -192,10 +233,11 @@ class Sidecar:
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Names of all arrays in the file of the frames."""
-        dark = self.dark_arrays if self.dark_file is None else ()
+        """Names of all arrays in the files."""
         exposure = () if self.exposure_array is None else (self.exposure_array,)
-        return (*self.arrays, *self.amplitude_arrays, *self.imaginary_arrays, *dark, *exposure)
+        others = (*self.dark_arrays, *self.phase_offset_arrays, *exposure)
+        each = (*self.arrays, *self.amplitude_arrays, *self.imaginary_arrays, *others)
+        return tuple(dict.fromkeys(name for text in each for name in names_in(text)))
 
 
 def _phases(given: tuple[float, ...], count: int | None) -> tuple[float, ...]:
@@ -213,8 +255,8 @@ def _refuse_axes(sidecar: Sidecar) -> None:
             raise ValueError(f"{key} names {unknown[0]}, which is none of {', '.join(AXES)}")
         if len(set(parts)) < len(parts) or sidecar.stacked_along in parts:
             raise ValueError(f"{key} and stacked_along name an axis twice")
-    if not {"row", "column"} <= set(sidecar.axes):
-        raise ValueError("axes must name row and column, each as an axis of its own")
+    if not {"row", "column"} <= {part for axis in sidecar.axes for part in axis.split("*")}:
+        raise ValueError("axes must name row and column")
     many = len(sidecar.arrays) > 1 or len(sidecar.dark_arrays) > 1
     if many and sidecar.stacked_along is None:
         raise ValueError("several arrays need stacked_along: frame, frequency, step or tap")
@@ -251,9 +293,11 @@ def _refuse_pairs(sidecar: Sidecar) -> None:
         "phase_unit dn and phase_period_dn go together": (sidecar.phase_unit == "dn")
         != (sidecar.phase_period_dn is not None),
         "dark frames go with the layouts taps and differences": dark and not sidecar.is_raw,
-        "dark_file needs dark_arrays": sidecar.dark_file and not dark,
-        "depths along the axis do not go with a lens: give depths along the rays": sidecar.lens
-        and sidecar.depth_along == "axis",
+        "depths along the axis go neither with a lens nor with a window: give depths along the rays": (
+            (sidecar.lens or sidecar.window) and sidecar.depth_along == "axis"
+        ),
+        "files steps goes with the layouts taps and differences": sidecar.files == "steps"
+        and not sidecar.is_raw,
         TOO_COARSE: sidecar.bits is not None and sidecar.bits <= _FEW_BITS,
     }
     for sentence, is_wrong in wrong.items():

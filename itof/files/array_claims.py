@@ -16,6 +16,10 @@ from disk.byte_size import binary_size
 from disk.machine_memory import memory_shortage
 
 ARRAYS: Final[tuple[str, ...]] = ("phasors", "frequencies_hz", "reference", "horizontal_fov_deg")
+PICKLED: Final = (
+    "it holds pickled Python objects, which could run any program; save plain arrays: where it was made, "
+    "numpy.savez('frames.npz', raw=...) with an array of numbers for each name"
+)
 _KINDS: Final = {
     "phasors": "complex, Re + j Im",
     "reference": "complex, Re + j Im",
@@ -64,10 +68,7 @@ def check_claim(
     RefusedError : the array is not read.
     """
     if dtype.hasobject:
-        raise RefusedError(
-            f"{path} cannot be read: it holds pickled Python objects, which could run any program; save "
-            "plain arrays"
-        )
+        raise RefusedError(f"{path} cannot be read: {PICKLED}")
     if dtype.kind not in "iufc" or dtype.itemsize > np.dtype(np.clongdouble).itemsize:
         kind = _KINDS.get(name, "numbers")
         raise RefusedError(f"{path}: {name} must be {kind}, got {dtype} of shape {shape}")

@@ -1,13 +1,13 @@
 """Arrays of a MATLAB file of version 5, whose headers are read before its values.
 
 A file of version 7.3 is an HDF5 file with another beginning. Of the kinds of MATLAB's variables, only arrays
-of numbers are read: no objects, structures, cells, functions, texts and sparse arrays.
+of numbers are read, also as fields of a structure: no objects, cells, functions, texts and sparse arrays.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,11 +44,14 @@ def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], l
         listed = whosmat(path)
         claims = Claims(path)
         here = {name: kind for name, _, kind in listed if name in wanted}
+        fields = _fields(wanted, [name for name, _, kind in listed if kind == "struct"])
         for name, shape, kind in listed:
             if name in wanted:
                 _check(claims, name, kind, tuple(shape))
-        found = loadmat(path, variable_names=list(here), struct_as_record=True) if here else {}
-        found = {name: _of_kind(found[name], kind) for name, kind in here.items()}
+        outer = [*here, *{name.split(".")[0] for name in fields}]
+        read = loadmat(path, variable_names=outer, struct_as_record=True) if outer else {}
+        found = {name: _of_kind(read[name], kind) for name, kind in here.items()}
+        found |= {name: values for name in fields if (values := _field(path, read, name)) is not None}
         claims = Claims(path)  # complex numbers take twice what the list of variables says
         for name, values in found.items():
             claims.add(name, values.dtype, values.shape, values.nbytes)
@@ -57,7 +60,32 @@ def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], l
     except Exception as error:  # of any kind: scipy's reader of such files raises many
         reason = " ".join(str(error).split()) or type(error).__name__
         raise RefusedError(f"{path} cannot be read: it is damaged or no MATLAB file ({reason})") from None
-    return found, [name for name, _, _ in listed]
+    structures = {name: read[name].dtype.names for name in outer if read[name].dtype.names}
+    names = [[f"{name}.{field}" for field in structures.get(name, ())] or [name] for name, _, _ in listed]
+    return found, [each for group in names for each in group]
+
+
+def _fields(wanted: tuple[str, ...], structures: list[str]) -> list[str]:
+    """The names among `wanted` that are fields, such as ``data.raw``, of these structures."""
+    return [name for name in wanted if "." in name and name.split(".")[0] in structures]
+
+
+def _field(path: Path, read: dict[str, Any], name: str) -> Numbers | None:
+    """The numbers of a field of structures of one element each; None if there is no such field."""
+    outer, *inner = name.split(".")
+    values = read[outer]
+    for part in inner:
+        if values.dtype.names is None or part not in values.dtype.names:
+            return None
+        if values.size != 1:
+            raise RefusedError(
+                f"{path}: {name} is a field of {values.size} structures, which are not read: save it as an "
+                "array of numbers"
+            )
+        values = values[part].item()
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iufc":
+        raise RefusedError(f"{path}: {name} is no array of numbers: save it as one")
+    return values
 
 
 def _of_kind(values: Numbers, kind: str) -> Numbers:

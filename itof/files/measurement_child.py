@@ -22,8 +22,10 @@ from itof.arrays import Numbers
 from itof.exr.header import ImageFileError
 from itof.exr.image import FIELD_OF_VIEW, PROJECTOR, read_image
 from itof.files.array_claims import ARRAYS, RefusedError
+from itof.files.binary_reading import BinaryLayout, read_binary
 from itof.files.mat_reading import is_hdf5, read_mat
-from itof.files.npz_reading import read_npz
+from itof.files.npz_reading import read_npy, read_npz
+from itof.files.picture_reading import IMAGE_ENDINGS, read_picture
 
 Contents = tuple[dict[str, Numbers], list[str]]
 _CPU_SECONDS = (
@@ -34,13 +36,16 @@ _OUR_CHANNELS: Final = ("itof.", "direct.", "hidden.")  # of the images that nig
 
 
 def main() -> None:
-    """Write the arrays that the other arguments name, of the file that the first one names, to stdout."""
-    path, wanted = Path(sys.argv[1]), tuple(sys.argv[2:])
+    """Write the arrays that the other arguments name, of the file that the first one names, to stdout.
+
+    The second argument is the layout of a file of bare numbers as JSON, or null.
+    """
+    path, layout, wanted = Path(sys.argv[1]), json.loads(sys.argv[2]), tuple(sys.argv[3:])
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not get between the arrays
     try:
         _limit_itself(path)
-        found, names = read_arrays(path, wanted)
+        found, names = read_arrays(path, wanted, layout and BinaryLayout(*layout))
     except RefusedError as error:
         _send(out, {"refusal": str(error)})
     else:
@@ -67,15 +72,19 @@ def _lower(limit: int, value: int) -> None:
         resource.setrlimit(limit, (value, hard))
 
 
-def read_arrays(path: Path, wanted: tuple[str, ...] = ARRAYS) -> Contents:
-    """The arrays among `wanted` that a measurement file has, and the names of all that it has.
+def read_arrays(path: Path, wanted: tuple[str, ...] = ARRAYS, layout: BinaryLayout | None = None) -> Contents:
+    """The arrays among `wanted` that a file has, and the names of all that it has.
+
+    Parameters
+    ----------
+    layout : of a file of bare numbers.
 
     Raises
     ------
     RefusedError : the file cannot be read, whatever happens; the message is one sentence that names it.
     """
     try:
-        return _read(path, wanted)
+        return _read(path, wanted) if layout is None else read_binary(path, layout, wanted)
     except RefusedError:
         raise
     except ImageFileError as error:
@@ -95,11 +104,18 @@ def _read(path: Path, wanted: tuple[str, ...]) -> Contents:
         return _read_phasors(path) if wanted == ARRAYS else _read_channels(path, wanted)
     if ending == ".npz":
         return read_npz(path, wanted)
+    if ending == ".npy":
+        return read_npy(path)
+    if ending in IMAGE_ENDINGS:
+        return read_picture(path)
     if ending == ".mat" and not is_hdf5(path):
         return read_mat(path, wanted)
     from itof.files.hdf5_reading import read_hdf5
 
-    return read_hdf5(path, wanted)
+    if ending != ".mat":
+        return read_hdf5(path, wanted)
+    found, names = read_hdf5(path, tuple(name.replace(".", "/") for name in wanted))  # fields of structures
+    return {name.replace("/", "."): values for name, values in found.items()}, names
 
 
 def _read_phasors(path: Path) -> Contents:

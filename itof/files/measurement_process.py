@@ -22,6 +22,7 @@ import numpy as np
 
 from itof.arrays import Numbers
 from itof.files.array_claims import ARRAYS, Claims, RefusedError
+from itof.files.binary_reading import BinaryLayout
 
 _MOST_HEAD_BYTES = 16 * 2**20
 _MOST_NAMES = 100
@@ -42,12 +43,15 @@ class FileContents:
     names: list[str]
 
 
-def read_contents(path: Path, wanted: tuple[str, ...] = ARRAYS, *, taken: int = 0) -> FileContents:
+def read_contents(
+    path: Path, wanted: tuple[str, ...] = ARRAYS, layout: BinaryLayout | None = None, *, taken: int = 0
+) -> FileContents:
     """The arrays of a measurement file, as they are in the file.
 
     Parameters
     ----------
     wanted : names of the arrays to read; channels of an ``.exr``. Those that the file lacks are left out.
+    layout : of a file of bare numbers; by default the ending says how to read it.
     taken : bytes of arrays of other files that are in memory already.
 
     Raises
@@ -55,7 +59,7 @@ def read_contents(path: Path, wanted: tuple[str, ...] = ARRAYS, *, taken: int = 
     RefusedError : the file cannot be read; the message is one sentence that names it.
     """
     root = str(Path(__file__).parents[2])  # where this program is, for the case that it is not installed
-    command = [sys.executable, "-P", "-c", _PROGRAM, root, os.fspath(path), *wanted]
+    command = [sys.executable, "-P", "-c", _PROGRAM, root, os.fspath(path), json.dumps(layout), *wanted]
     kept = {name: value for name, value in os.environ.items() if not name.startswith("HDF5_PLUGIN")}
     stderr = None if os.environ.get("NIGHT_TRACEBACK") else DEVNULL
     with Popen(command, stdin=DEVNULL, stdout=PIPE, stderr=stderr, env=kept | _ENVIRONMENT) as child:  # noqa: S603

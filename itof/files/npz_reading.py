@@ -1,4 +1,4 @@
-"""Arrays of an ``.npz`` file, which is a ZIP archive of ``.npy`` files; pickled arrays are refused.
+"""Arrays of an ``.npz`` file, a ZIP archive of ``.npy`` files, or of one of these; pickled arrays are refused.
 
 `numpy.load` allocates what a header claims before it reads. Here the claim is checked first, and no more
 bytes are unpacked than it says.
@@ -16,10 +16,11 @@ from typing import IO, Any
 import numpy as np
 
 from itof.arrays import Numbers
-from itof.files.array_claims import Claims, RefusedError
+from itof.files.array_claims import PICKLED, Claims, RefusedError
 
 _STEP = 16 * 2**20  # bytes unpacked at a time
 _ZIP, _NPY, _PICKLE = b"PK", b"\x93NUMPY", b"\x80"  # first bytes of such files
+BARE = "array"  # name of the array of a file that has no names
 # RuntimeError: the archive is encrypted or its compression is unknown. The others: a header is damaged.
 _ERRORS = (
     *(ValueError, OSError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error),
@@ -58,14 +59,27 @@ def read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], l
     return found, list(entries)
 
 
+def read_npy(path: Path) -> tuple[dict[str, Numbers], list[str]]:
+    """The array of an ``.npy`` file, under the name `BARE`; errors as of `read_npz`."""
+    size = path.stat().st_size
+    try:
+        with path.open("rb") as stream:
+            found = {BARE: _array(Claims(path), BARE, stream, size)}
+    except RefusedError:
+        raise
+    except _ERRORS as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise RefusedError(f"{path} cannot be read: it is damaged or no .npy file ({reason})") from None
+    return found, [BARE]
+
+
 def _refuse_other_kinds(path: Path, start: bytes) -> None:
     if start.startswith(_NPY):
-        raise RefusedError(f"{path} is one bare array, not an .npz archive: write it with numpy.savez")
-    if start.startswith(_PICKLE):
         raise RefusedError(
-            f"{path} cannot be read: it holds pickled Python objects, which could run any program; save "
-            "plain arrays"
+            f"{path} is one bare array, not an .npz archive: write it with numpy.savez, or name it .npy"
         )
+    if start.startswith(_PICKLE):
+        raise RefusedError(f"{path} cannot be read: {PICKLED}")
     if not start.startswith(_ZIP):
         raise RefusedError(
             f"{path} cannot be read: it is damaged or no .npz archive (write it with numpy.savez)"
@@ -74,19 +88,24 @@ def _refuse_other_kinds(path: Path, start: bytes) -> None:
 
 def _read(claims: Claims, name: str, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Numbers:
     with archive.open(entry) as member:
-        shape, fortran_order, dtype = _header(member)
-        claims.add(name, dtype, shape, entry.compress_size)
-        values = np.empty(shape, dtype, order="F" if fortran_order else "C")
-        target = values.reshape(-1, order="A").view(np.uint8).data
-        at = 0
-        while at < len(target):
-            part = member.read(min(_STEP, len(target) - at))
-            if not part:
-                raise EOFError(f"the array {name} ends too early")
-            target[at : at + len(part)] = part
-            at += len(part)
-        if member.read(1):  # at the end, the archive's checksum is compared
-            raise ValueError(f"the array {name} is followed by other data")
+        return _array(claims, name, member, entry.compress_size)
+
+
+def _array(claims: Claims, name: str, member: IO[bytes], packed: int) -> Numbers:
+    """The array in a stream, which has so many bytes for it."""
+    shape, fortran_order, dtype = _header(member)
+    claims.add(name, dtype, shape, packed)
+    values = np.empty(shape, dtype, order="F" if fortran_order else "C")
+    target = values.reshape(-1, order="A").view(np.uint8).data
+    at = 0
+    while at < len(target):
+        part = member.read(min(_STEP, len(target) - at))
+        if not part:
+            raise EOFError(f"the array {name} ends too early")
+        target[at : at + len(part)] = part
+        at += len(part)
+    if member.read(1):  # at the end, an archive's checksum is compared
+        raise ValueError(f"the array {name} is followed by other data")
     return values
 
 

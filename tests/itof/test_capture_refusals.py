@@ -138,7 +138,7 @@ KEYS = {
     "differences have no taps": {"layout": "differences"},
     "phase_unit dn and phase_period_dn go together": {"phase_unit": "dn"},
     "8-bit numbers are too coarse": {"bits": 8},
-    "dark_file needs dark_arrays": {"dark_file": "dark.npz"},
+    "calibration_file needs dark_arrays": {"calibration_file": "dark.npz"},
     "step_count must be less than or equal to 64": {"step_count": 65},
     "lens.fx must be 0.001 to 1e+06 pixels (got 1e-300)": {
         "lens": {"fx": 1e-300, "fy": 1.0, "cx": 0.0, "cy": 0.0}
@@ -171,14 +171,16 @@ def test_a_sidecar_changes_a_known_format_and_options_change_a_sidecar(tmp_path)
         load_sidecar("nothing")
 
 
-@pytest.mark.parametrize("dark_file", ["../dark.npz", "/etc/passwd", "link.npz"])
-def test_a_sidecar_does_not_lead_out_of_its_folder(tmp_path, dark_file):
+@pytest.mark.parametrize("calibration_file", ["../dark.npz", "/etc/passwd", "link.npz"])
+def test_a_sidecar_does_not_lead_out_of_its_folder(tmp_path, calibration_file):
     folder = tmp_path / "inner"
     folder.mkdir()
     np.savez(tmp_path / "dark.npz", dark=RAW)
     (folder / "link.npz").symlink_to(tmp_path / "dark.npz")
-    sidecar = sidecar_of(folder, dark_arrays=["dark"], dark_file=dark_file)
-    with pytest.raises(CaptureError, match=r"^dark_file of the sidecar for frames\.npz: .*(inside|outside)"):
+    sidecar = sidecar_of(folder, dark_arrays=["dark"], calibration_file=calibration_file)
+    with pytest.raises(
+        CaptureError, match=r"^calibration_file of the sidecar for frames\.npz: .*(inside|outside)"
+    ):
         raw_of(sidecar, folder, raw=RAW)
 
 

@@ -13,10 +13,11 @@ from scipy.io import savemat
 from wall_measurements import wall_of_plane
 
 from disk import sha256_of
+from itof.capture.capture_files import refuse_repeated
 from itof.capture.check_figure import check_figure
 from itof.capture.checking import check_capture
 from itof.capture.importing import import_capture
-from itof.capture.raw_frames import read_frames, refuse_repeated
+from itof.capture.raw_frames import read_frames
 from itof.capture.record import read_import_record, record_path
 from itof.capture.sidecar import CaptureError
 from itof.files.array_claims import RefusedError
@@ -114,7 +115,7 @@ def test_a_record_has_the_checksums_of_all_files(tmp_path):
     np.savez(tmp_path / "frames.npz", raw=RAW)
     np.savez(tmp_path / "corner.npz", raw=2 * RAW)
     np.savez(tmp_path / "dark.npz", dark=0 * RAW)
-    sidecar = write_sidecar(tmp_path / "sidecar.toml", dark_arrays=["dark"], dark_file="dark.npz")
+    sidecar = write_sidecar(tmp_path / "sidecar.toml", dark_arrays=["dark"], calibration_file="dark.npz")
     made = import_capture(
         tmp_path / "frames.npz",
         sidecar,
@@ -123,7 +124,7 @@ def test_a_record_has_the_checksums_of_all_files(tmp_path):
         progress=False,
     )
     record = read_import_record(made.out)
-    found = [(record.inputs, "frames"), (record.empty_inputs, "corner"), (record.dark_inputs, "dark")]
+    found = [(record.inputs, "frames"), (record.empty_inputs, "corner"), (record.calibration_inputs, "dark")]
     for files, name in found:
         file = (tmp_path / f"{name}.npz").resolve()
         assert files == {str(file): sha256_of(file)}

@@ -145,7 +145,7 @@ def _write_measurements(work, closed):
 def _write_frames(work):
     """Raw frames of the measurement in all forms, and their sidecar."""
     phasors = np.load(work / "itof.npz")["phasors"].astype(np.complex128)
-    sidecar = write_sidecar(work / "camera.toml", dark_arrays=["dark"], dark_file="dark.npz")
+    sidecar = write_sidecar(work / "camera.toml", dark_arrays=["dark"], calibration_file="dark.npz")
     raw = np.round(1e4 / np.abs(phasors).max() * taps_of(phasors, steps(4), steps(2)))[None]
     frames = np.concatenate([raw, raw + 1]).astype(np.uint16)
     np.savez(sidecar.with_name("dark.npz"), dark=np.zeros_like(raw))
