@@ -10,14 +10,16 @@ from typing import Final
 import numpy as np
 
 from disk import sha256_of
+from itof import phasors
 from itof.arrays import Numbers
 from itof.capture.formulas import names_in, value_of
 from itof.capture.frame_axes import ordered, stacked
-from itof.capture.sidecar import TOO_COARSE, CaptureError, Sidecar
+from itof.capture.sidecar import BIN, TOO_COARSE, CaptureError, Sidecar
 from itof.files.array_claims import RefusedError
 from itof.files.binary_reading import BinaryLayout
 from itof.files.measurement_process import FileContents, read_contents
 from itof.files.picture_reading import IMAGE_ENDINGS
+from itof.light import SPEED_OF_LIGHT
 
 ENDINGS: Final = (".npz", ".npy", ".h5", ".hdf5", ".exr", ".mat", *IMAGE_ENDINGS)
 SMALLEST: Final = 1e-30  # largest number of an array, whose square is not 0
@@ -56,19 +58,23 @@ def contents_of(file: Path, sidecar: Sidecar, taken: int) -> FileContents:
     """
     if not file.is_file():
         raise CaptureError(f"{file} {'is a folder' if file.is_dir() else 'does not exist'}")
-    layout = None
-    if file.suffix.lower() not in ENDINGS:
-        if sidecar.binary is None:
-            ending = f"the ending {file.suffix}" if file.suffix else "no ending"
-            raise CaptureError(
-                f"{file} has {ending}: captures are read from {', '.join(ENDINGS)} files, and from others if the "
-                "table binary of the sidecar says how their numbers lie"
-            )
-        layout = BinaryLayout(sidecar.binary.fields, sidecar.binary.shape, sidecar.binary.header)
+    if sidecar.binary is None and file.suffix.lower() not in ENDINGS:
+        ending = f"the ending {file.suffix}" if file.suffix else "no ending"
+        raise CaptureError(
+            f"{file} has {ending}: captures are read from {', '.join(ENDINGS)} files, and from others by the "
+            "table binary of the sidecar, which says how their numbers lie"
+        )
     try:
-        return read_contents(file, sidecar.wanted, layout, taken=taken)
+        return read_contents(file, sidecar.wanted, layout_of(file, sidecar), taken=taken)
     except RefusedError as error:
         raise CaptureError(str(error)) from None
+
+
+def layout_of(file: Path, sidecar: Sidecar) -> BinaryLayout | None:
+    """How numbers lie in a file without a format of its own."""
+    if sidecar.binary is None or file.suffix.lower() in ENDINGS:
+        return None
+    return BinaryLayout(sidecar.binary.fields, sidecar.binary.shape, sidecar.binary.header)
 
 
 class FileGroup:
@@ -118,6 +124,8 @@ class FileGroup:
             return None
         if not self.sidecar.takes_complex(name):
             _refuse_complex(values, what)
+        if BIN in axes:
+            values, axes = _phasors_of_bins(values, axes, self.sidecar, what)
         view = ordered(values, axes, self.sizes, what)
         self.sensor = (view.shape[-1], view.shape[-2])
         view = _cut(view, self.sidecar.window, what)
@@ -126,9 +134,8 @@ class FileGroup:
 
     def numbers(self, name: str) -> Numbers:
         """All values of a list."""
-        found = [
-            (file, values) for file, each in self.files if (values := _value(file, each, name)) is not None
-        ]
+        read = [(file, _value(file, contents, name)) for file, contents in self.files]
+        found = [(file, values) for file, values in read if values is not None]
         if not found:
             raise self._missing(name)
         for file, values in found:
@@ -163,6 +170,21 @@ def _value(file: Path, contents: FileContents, text: str) -> Numbers | None:
         raise CaptureError(f"{file}: {error}") from None
 
 
+def _phasors_of_bins(
+    histograms: Numbers, axes: tuple[str, ...], sidecar: Sidecar, what: str
+) -> tuple[Numbers, tuple[str, ...]]:
+    """Phasors of histograms, with frequencies on the last axis instead of bins, and their axes."""
+    if histograms.ndim != len(axes):
+        raise CaptureError(f"{what} has the shape {histograms.shape}, not {len(axes)} axes: correct axes")
+    width_m = SPEED_OF_LIGHT * (sidecar.bin_width_s or 0.0)  # of the path of the light
+    last = np.moveaxis(histograms, axes.index(BIN), -1).astype(np.float64)
+    try:
+        z = phasors(last, sidecar.frequencies_hz, width_m)
+    except ValueError as error:
+        raise CaptureError(f"{what}: {error}") from None
+    return z, (*(axis for axis in axes if axis != BIN), "frequency")
+
+
 def _cut(view: Numbers, window: tuple[int, int, int, int] | None, what: str) -> Numbers:
     """The part of an image that lies in the window."""
     if window is None or view.shape[-2:] == (1, 1):
@@ -170,8 +192,8 @@ def _cut(view: Numbers, window: tuple[int, int, int, int] | None, what: str) -> 
     left, top, width, height = window
     if left + width > view.shape[-1] or top + height > view.shape[-2]:
         raise CaptureError(
-            f"{what}: a window of {width}x{height} pixels at column {left} and row {top} does not fit images of "
-            f"{view.shape[-1]}x{view.shape[-2]}: correct window"
+            f"{what}: a window of {width}x{height} pixels at column {left} and row {top} does not fit images "
+            f"of {view.shape[-1]}x{view.shape[-2]}: correct window"
         )
     return view[..., top : top + height, left : left + width]
 
@@ -183,8 +205,8 @@ def _refuse_values(values: Numbers, most_nan: float, what: str) -> None:
     if values.dtype.kind in "fc" and (bad := int(np.count_nonzero(~np.isfinite(values)))):
         if bad > most_nan * values.size:
             raise CaptureError(
-                f"{what} holds {bad} values that are NaN or infinite, {100 * bad / values.size:.2g} % of all: "
-                f"give a larger most_nan than {most_nan:g}, or a window without them, if they are dead pixels"
+                f"{what} holds {bad} values that are NaN or infinite ({100 * bad / values.size:.2g} %): if "
+                f"they are dead pixels, give a larger most_nan than {most_nan:g}, or a window without them"
             )
         ends = np.where(np.isfinite(ends), ends, 0)
     largest = max(abs(float(ends.max())), abs(float(ends.min())))

@@ -71,7 +71,7 @@ def frame_phasors(raw: RawFrames, sidecar: Sidecar) -> Iterator[Complexes]:
 
 
 def _turn(raw: RawFrames, sidecar: Sidecar) -> Complex | None:
-    """Factors that take out the phase offsets of the frequencies, and of the pixels: (F or 1, H or 1, W or 1)."""
+    """(F or 1, H or 1, W or 1) factors that take out the phase offsets of the frequencies and pixels."""
     if not sidecar.phase_offsets_rad and raw.offsets_rad is None:
         return None
     whole = np.array(sidecar.phase_offsets_rad or (0.0,))[:, None, None]
@@ -201,7 +201,7 @@ def _refuse_units(raw: RawFrames, sidecar: Sidecar) -> None:
 def _middle_depths(raw: RawFrames) -> NDArray[np.float64]:
     """Depths that 5 % of the pixels with a value are below and above."""
     measured = raw.values[raw.values > 0]
-    return np.percentile(measured, [5, 95]) if measured.size else np.zeros(2)
+    return np.percentile(measured.astype(np.float64), [5, 95]) if measured.size else np.zeros(2)
 
 
 def _refuse_depths(raw: RawFrames, sidecar: Sidecar) -> None:

@@ -1,8 +1,8 @@
 """Formulas over the arrays of a file, such as ``= 2 * raw[0:2, :, :320] - 1``, as text of a sidecar.
 
-A formula begins with ``=``. It has numbers, ``pi``, names of arrays, slices, ``+ - * / // %`` and the functions
-of `_FUNCTIONS`; a name with other signs stands in quotes. It is no program: every part that is not listed here
-is refused before anything is computed, and each result must fit into the memory.
+A formula begins with ``=``. It has numbers, ``pi``, names of arrays, slices, ``+ - * / // %``, the functions
+of `_FUNCTIONS` and ``reshape(raw, 4, 4)``; a name with other signs stands in quotes. It is no program: every part that is not
+listed here is refused before anything is computed, and each result must fit into the memory.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ _FUNCTIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "cos": np.cos,
     "sin": np.sin,
 }
+_RESHAPE: Final = "reshape"
 _COPIES = 3  # of an array: a result and what it is made of
 
 
@@ -44,7 +45,12 @@ def names_in(text: str) -> tuple[str, ...]:
     ------
     ValueError : the formula has a part that is not allowed.
     """
-    return tuple(_names(_parsed(text), text)) if text.startswith(_SIGN) else (text,)
+    if not text.startswith(_SIGN):
+        return (text,)
+    found = tuple(_names(_parsed(text), text))
+    if not found:
+        raise ValueError(f"the formula {text!r} names no array")
+    return found
 
 
 def value_of(text: str, arrays: Mapping[str, Numbers]) -> Numbers:
@@ -86,6 +92,7 @@ def _names(node: ast.expr, text: str) -> Iterator[str]:
         _place(node.slice, text)
         yield from _names(node.value, text)
     elif isinstance(node, ast.Call) and _is_function(node):
+        _ = [_place(side, text) for side in node.args[1:]]
         yield from _names(node.args[0], text)
     elif not _is_number(node):
         raise ValueError(f"the formula {text!r} has a part that is not allowed: {ast.unparse(node)}")
@@ -108,8 +115,9 @@ def _is_number(node: ast.expr) -> bool:
 
 
 def _is_function(node: ast.Call) -> bool:
-    known = isinstance(node.func, ast.Name) and node.func.id in _FUNCTIONS
-    return known and len(node.args) == 1 and not node.keywords
+    name = node.func.id if isinstance(node.func, ast.Name) else ""
+    count = len(node.args)
+    return not node.keywords and (count == 1 if name in _FUNCTIONS else name == _RESHAPE and count > 1)
 
 
 def _place(node: ast.expr, text: str) -> Any:
@@ -141,7 +149,10 @@ def _value(node: ast.expr, arrays: Mapping[str, Numbers]) -> Any:
     if isinstance(node, ast.Subscript):
         return _value(node.value, arrays)[_place(node.slice, "")]
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        return _FUNCTIONS[node.func.id](_number(_value(node.args[0], arrays)))
+        inner = _value(node.args[0], arrays)
+        if node.func.id == _RESHAPE:
+            return np.reshape(inner, [_place(side, "") for side in node.args[1:]])
+        return _FUNCTIONS[node.func.id](_number(inner))
     return node.value if isinstance(node, ast.Constant) else math.pi
 
 

@@ -133,7 +133,9 @@ class Undistortion:
         horizontal_fov_deg: float,
         window: tuple[int, int, int, int] | None,
     ) -> Undistortion | None:
-        """For the window (left, top, width, height) of a sensor (width, height), or all of it; None for a pinhole.
+        """For a window (left, top, width, height) of a sensor (width, height), or all of it.
+
+        None for all of a pinhole camera's image, which stays as it is.
 
         Light from a direction does not depend on where the camera looks: a window beside the middle is the
         image of a camera at the same place that is turned to the middle of the window, first to the side and

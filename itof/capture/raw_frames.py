@@ -61,8 +61,8 @@ def read_frames(files: Sequence[Path], sidecar: Sidecar, folder: Path) -> RawFra
 
     Parameters
     ----------
-    files : files of the capture, in the order that ``files`` of the sidecar says. Files that hold the same array
-        hold further frames.
+    files : files of the capture, in the order that ``files`` of the sidecar says. Files that hold the same
+        array hold further frames.
     folder : that of the sidecar, where the calibration file is.
 
     Raises
@@ -86,6 +86,7 @@ def frames_of(files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar, fold
         files = [(file, FileContents(known | each.arrays, each.names)) for file, each in files]
     parts = _groups(files, sidecar)
     values = _joined(parts, sidecar.arrays, sidecar, source)
+    sensor = parts[0].sensor
     _refuse_sizes(sidecar, values, source)
     others = sidecar.amplitude_arrays or sidecar.imaginary_arrays
     partner = _joined(parts, others, sidecar, source) if others else None
@@ -97,7 +98,7 @@ def frames_of(files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar, fold
     for each in (values, partner, dark, offsets):
         if each is not None and each.dtype.kind in "fc":
             lost |= ~np.isfinite(each).all(axis=tuple(range(each.ndim - 2)))
-    raw = RawFrames(values, partner, dark, offsets, lost, exposures, source, parts[0].sensor)
+    raw = RawFrames(values, partner, dark, offsets, lost, exposures, source, sensor)
     return raw if not lost.any() else raw.without_lost()
 
 
@@ -108,8 +109,8 @@ def _groups(files: Sequence[tuple[Path, FileContents]], sidecar: Sidecar) -> lis
     if not files or len(files) % count:
         what = "frequencies" if sidecar.files == "frequencies" else f"frequencies and {steps} steps"
         raise CaptureError(
-            f"{len(files)} files were given, and the sidecar says that each holds one of {frequencies} {what}: "
-            "give as many files for each, in the order of frequencies_hz"
+            f"{len(files)} files were given, and the sidecar says that each holds one of {frequencies} "
+            f"{what}: give as many files for each, in the order of frequencies_hz"
         )
     each = len(files) // count
     sizes = _sizes(sidecar)
@@ -160,7 +161,8 @@ def _joined(
     frames = {each.shape[0] for each in read}
     if len(frames) > 1:
         raise CaptureError(
-            f"{source}: the frequencies have {', '.join(map(str, sorted(frames)))} frames: give as many for each"
+            f"{source}: the frequencies have {', '.join(map(str, sorted(frames)))} frames: give as many for "
+            "each"
         )
     if sidecar.files == "steps" and len(read) > 1:
         steps = len(sidecar.steps)

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 from disk import NightError
 from disk.contract import STRICT
 from disk.quantities import (
+    Bounds,
     ConverterNumber,
     Distortion,
     ExposureTime,
@@ -28,6 +29,7 @@ from itof.files.binary_reading import fields_of
 from itof.light import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
+BIN: Final = "bin"  # axis of histograms, which phasors take the place of
 MOST_FREQUENCIES = 16
 _FEW_BITS = 8
 TOO_COARSE: Final = (
@@ -35,7 +37,9 @@ TOO_COARSE: Final = (
     "least 10 bits"
 )
 
-Layout = Literal["taps", "differences", "phasors", "amplitude-phase", "amplitude-depth", "depth"]
+Layout = Literal[
+    "taps", "differences", "phasors", "amplitude-phase", "amplitude-depth", "histograms", "depth"
+]
 Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 Axis = Annotated[str, Field(max_length=60, pattern=r"^[a-z]+(\*[a-z]+)*$")]
 Names = Annotated[tuple[Name, ...], Field(max_length=256)]
@@ -63,8 +67,8 @@ class Lens:
     cx, cy : principal point, pixels; the centre of the upper left pixel is at 0, 0.
     k1, k2, k3 : radial distortion.
     p1, p2 : tangential distortion.
-    maps_to : ``pixel`` if the equation leads from a ray to its pixel; ``ray`` if the coefficients lead from x,
-        y of a pixel, (column - cx) / fx and (row - cy) / fy, to those of its ray.
+    maps_to : ``pixel`` if the equation leads from a ray to its pixel; ``ray`` if the coefficients lead from
+        the place of a pixel, (column - cx) / fx and (row - cy) / fy, to its ray.
 
     Source: D. C. Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32, 1966.
     """
@@ -108,22 +112,25 @@ class Sidecar:
     Attributes
     ----------
     layout : ``taps`` (numbers of each tap in each raw frame), ``differences`` (of two taps, DCS),
-        ``phasors``, ``amplitude-phase``, ``amplitude-depth``, or ``depth``: one for all frequencies, which is
-        refused, because the hidden light is lost.
+        ``phasors``, ``amplitude-phase``, ``amplitude-depth``, ``histograms`` of single photons, or ``depth``:
+        one for all frequencies, which is refused, because the hidden light is lost.
     arrays : names of the arrays in the file, or of the channels of an ``.exr``: taps, differences, phasors
-        (or their real parts), phases or depths. Several arrays are stacked along `stacked_along`. The array of
-        a file that has no names for it is ``array``. Each name can be a formula (`itof.capture.formulas`).
+        (or their real parts), phases or depths. Several arrays are stacked along `stacked_along`. The array
+        of a file without names is ``array``. Each name can be a formula (`itof.capture.formulas`).
     binary : how the arrays lie in a file without a format of its own.
     most_nan : largest part of an array that may be NaN or infinite; these pixels count as dead.
-    window : left column, upper row, width and height of the part of the sensor that is used, pixels. The image
-        becomes that of a camera that is turned to the middle of the window.
+    window : left column, upper row, width and height of the part of the sensor that is used, pixels. The
+        image becomes that of a camera that is turned to the middle of the window.
     amplitude_arrays : the same for the amplitudes of the two last layouts.
     imaginary_arrays : the same for the imaginary parts, if `arrays` are the real parts of phasors.
     stacked_along : ``frame``, ``frequency``, ``step`` or ``tap``.
     axes : order of the axes of each array, of frame, frequency, step, tap, row and column. An axis of size
         one may be left out. ``frequency*step`` is one axis with all steps of the first frequency first.
+    bin_width_s : of ``histograms``, whose axis is ``bin``: seconds of the time of flight. Phasors at
+        `frequencies_hz` take their place; bin 0 begins when the light leaves the camera.
     files : ``together`` if each file holds all frequencies; ``frequencies`` if the files are given frequency
-        by frequency, in the order of `frequencies_hz`; ``steps`` if those of a frequency are given step by step.
+        by frequency, in the order of `frequencies_hz`; ``steps`` if, for each of them, they
+        are given step by step.
     frequencies_hz : modulation frequencies in the order of the arrays, Hz.
     horizontal_fov_deg : full horizontal field of view of the pinhole camera that the image is or becomes,
         degrees.
@@ -134,8 +141,8 @@ class Sidecar:
         half a period apart.
     phase_sign : 1 if the phases that result grow with distance; -1 if they fall.
     phase_offsets_rad : what the camera adds to the phases at each frequency, radians; it is subtracted.
-    phase_offset_arrays : arrays of the same for each pixel, radians; several are those of the frequencies. Their
-        axes are those of `axes` without frame, step and tap.
+    phase_offset_arrays : arrays of the same for each pixel, radians; several are those of the frequencies.
+        Their axes are those of `axes` without frame, step and tap.
     phase_offsets_std_rad : how well this is known, standard deviations; the default of 0.1 is that of a
         camera that its maker calibrated. A wall's distance is as uncertain as they make it.
     phase_unit : of ``amplitude-phase``: ``rad``, ``deg``, or ``dn`` with `phase_period_dn` numbers per
@@ -165,6 +172,7 @@ class Sidecar:
     imaginary_arrays: Names = ()
     stacked_along: Literal["frame", "frequency", "step", "tap"] | None = None
     binary: Binary | None = None
+    bin_width_s: Annotated[float, Bounds(1e-13, 1e-6, "s")] | None = None
     most_nan: Fraction = 0.01
     window: tuple[Pixel, Pixel, Side, Side] | None = None
     files: Literal["together", "frequencies", "steps"] = "together"
@@ -250,7 +258,8 @@ def _refuse_axes(sidecar: Sidecar) -> None:
     """Axes that are unknown or named twice."""
     for key, axes in (("axes", sidecar.axes), ("dark_axes", sidecar.dark_axes)):
         parts = [part for axis in axes for part in axis.split("*")]
-        unknown = [part for part in parts if part not in AXES]
+        known = (*AXES, BIN) if sidecar.layout == "histograms" else AXES
+        unknown = [part for part in parts if part not in known]
         if unknown:
             raise ValueError(f"{key} names {unknown[0]}, which is none of {', '.join(AXES)}")
         if len(set(parts)) < len(parts) or sidecar.stacked_along in parts:
@@ -296,6 +305,10 @@ def _refuse_pairs(sidecar: Sidecar) -> None:
         "depths along the axis go neither with a lens nor with a window: give depths along the rays": (
             (sidecar.lens or sidecar.window) and sidecar.depth_along == "axis"
         ),
+        "the layout histograms, the axis bin and bin_width_s go together": len(
+            {layout == "histograms", sidecar.bin_width_s is not None, BIN in sidecar.axes}
+        )
+        > 1,
         "files steps goes with the layouts taps and differences": sidecar.files == "steps"
         and not sidecar.is_raw,
         TOO_COARSE: sidecar.bits is not None and sidecar.bits <= _FEW_BITS,

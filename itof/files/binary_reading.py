@@ -1,4 +1,4 @@
-"""Arrays of a file of bare numbers, whose layout somebody tells: records of fields, to the end of the file."""
+"""Arrays of a file of bare numbers whose layout is told: records of fields, to the end of the file."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class BinaryLayout(NamedTuple):
 def fields_of(texts: Sequence[str]) -> tuple[BinaryField, ...]:
     """The fields of texts ``NAME TYPE [SIDExSIDE] [stride BYTES]``.
 
-    TYPE is ``u1``, ``u2``, ``u4``, ``i1``, ``i2``, ``i4``, ``f4`` or ``f8``, with ``>`` before it if the highest byte
-    comes first; or ``u12``, two numbers in three bytes as MIPI RAW12 packs them.
+    TYPE is ``u1``, ``u2``, ``u4``, ``i1``, ``i2``, ``i4``, ``f4`` or ``f8``, with ``>`` before it if the
+    highest byte comes first; or ``u12``, two numbers in three bytes as MIPI RAW12 packs them.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def _field(text: str) -> BinaryField:
     match = _FIELD.fullmatch(text)
     if match is None:
         raise ValueError(
-            f"binary.fields has {text!r}, which is no field like 'raw u2 240x320': a name, one of u1, u2, u4, i1, "
-            "i2, i4, f4, f8, u12, the sides, and stride with the bytes of a row"
+            f"binary.fields has {text!r}, which is no field like 'raw u2 240x320': a name, one of u1, u2, "
+            "u4, i1, i2, i4, f4, f8, u12, the sides, and stride with the bytes of a row"
         )
     sides = tuple(int(side) for side in (match["sides"] or "").split("x") if side)
     kind = match["type"] if match["type"] == _PACKED else np.dtype(f"<{match['type']}".replace("<>", ">")).str
@@ -104,8 +104,8 @@ def read_binary(
     frame = record * math.prod(layout.shape)
     if size < frame or size % frame:
         raise RefusedError(
-            f"{path} has {max(size, 0)} bytes after a header of {layout.header}, which are no whole number of "
-            f"frames of {frame} bytes: correct the table binary of the sidecar"
+            f"{path} has {max(size, 0)} bytes after a header of {layout.header}, which are no whole number "
+            f"of frames of {frame} bytes: correct the table binary of the sidecar"
         )
     claims = Claims(path)
     claims.add("the whole file", np.dtype(np.uint8), (size,), size)
@@ -130,8 +130,8 @@ def read_binary(
 def _numbers(rows: NDArray[np.uint8], kind: str) -> Numbers:
     """The numbers of rows of bytes.
 
-    Source of the packing: Linux kernel, V4L2_PIX_FMT_Y12P: two bytes with the high 8 bits of two numbers, then
-    one whose lower half has the low bits of the first.
+    Source of the packing: Linux kernel, V4L2_PIX_FMT_Y12P: two bytes with the high 8 bits of two numbers,
+    then one whose lower half has the low bits of the first.
     """
     if kind != _PACKED:
         return np.ascontiguousarray(rows).view(kind)

@@ -1,4 +1,4 @@
-"""Arrays of an ``.npz`` file, a ZIP archive of ``.npy`` files, or of one of these; pickled arrays are refused.
+"""Arrays of an ``.npz`` file, a ZIP archive of ``.npy`` files, or of one of these; no pickled arrays.
 
 `numpy.load` allocates what a header claims before it reads. Here the claim is checked first, and no more
 bytes are unpacked than it says.

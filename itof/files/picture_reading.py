@@ -1,7 +1,7 @@
 """The numbers of a grey picture: PNG and TIFF by Pillow, and PGM, of more than 8 bits.
 
-A TIFF file of several pages, and a PGM file of several pictures, have the axis frame. Pillow would stretch the
-numbers of a PGM file with another largest number than 65535, so that this format is read here.
+A TIFF file of several pages, and a PGM file of several pictures, have the axis frame. Pillow would stretch
+the numbers of a PGM file with another largest number than 65535, so that this format is read here.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def _by_pillow(path: Path) -> Numbers:
             count = min(getattr(image, "n_frames", 1), _MOST_PAGES + 1)
             if image.mode not in _TYPES or count > _MOST_PAGES:
                 raise RefusedError(
-                    f"{path} has {count} pages of the kind {image.mode}, and up to {_MOST_PAGES} grey ones are "
-                    "read: save one grey channel of 16 bits"
+                    f"{path} has {count} pages of the kind {image.mode}, and up to {_MOST_PAGES} grey ones "
+                    "are read: save one grey channel of 16 bits"
                 )
             dtype = np.dtype(_TYPES[image.mode])
             frames = []

@@ -138,7 +138,6 @@ KEYS = {
     "differences have no taps": {"layout": "differences"},
     "phase_unit dn and phase_period_dn go together": {"phase_unit": "dn"},
     "8-bit numbers are too coarse": {"bits": 8},
-    "calibration_file needs dark_arrays": {"calibration_file": "dark.npz"},
     "step_count must be less than or equal to 64": {"step_count": 65},
     "lens.fx must be 0.001 to 1e+06 pixels (got 1e-300)": {
         "lens": {"fx": 1e-300, "fy": 1.0, "cx": 0.0, "cy": 0.0}

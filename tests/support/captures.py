@@ -3,6 +3,7 @@
 import numpy as np
 from wall_measurements import FREQUENCIES_HZ
 
+from itof.capture.capture_files import layout_of
 from itof.capture.raw_frames import frames_of
 from itof.capture.sidecar_files import load_sidecar
 from itof.files.measurement_child import read_arrays
@@ -67,5 +68,5 @@ def raw_of(sidecar, folder=None, **arrays):
 
 def read_here(files, sidecar, folder=None):
     """Frames in files, read in this process and not in one of its own, which takes 0.3 s."""
-    contents = [(file, FileContents(*read_arrays(file, sidecar.wanted))) for file in files]
-    return frames_of(contents, sidecar, folder)
+    read = [(file, read_arrays(file, sidecar.wanted, layout_of(file, sidecar))) for file in files]
+    return frames_of([(file, FileContents(*contents)) for file, contents in read], sidecar, folder)
