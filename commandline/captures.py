@@ -15,8 +15,8 @@ from disk import PresetError
 from scenegen import load_preset
 
 _SIDECAR = (
-    "TOML file that says what the frames mean, or a known format: adi-adtf3175, arducam, depthai, espros, flat, "
-    "night-authors, ti-tintin."
+    "TOML file that says what the frames mean, or a known format: adi-adtf3175, arducam, depthai, espros, "
+    "flat, night-authors, ti-tintin."
 )
 EMPTY = click.option(
     "--empty", multiple=True, type=FOLDER, help="Capture of the empty corner; may be repeated."
@@ -55,7 +55,8 @@ def capture() -> None:
 def import_(inputs: tuple[Path, ...], sidecar: Path, out: Path, as_json: bool, **given: Any) -> None:
     """Make a measurement file, which `night-eval predict` reads, of the raw frames in INPUT.
 
-    INPUT are .npz, .npy, .h5, .exr or .mat files, grey pictures or bare numbers. Frames are averaged, and pixels binned, as phasors.
+    INPUT are .npz, .npy, .h5, .exr or .mat files, grey pictures or bare numbers. Frames are averaged, and
+    pixels binned, as phasors.
     """
     import itof
 

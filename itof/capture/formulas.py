@@ -1,8 +1,8 @@
 """Formulas over the arrays of a file, such as ``= 2 * raw[0:2, :, :320] - 1``, as text of a sidecar.
 
 A formula begins with ``=``. It has numbers, ``pi``, names of arrays, slices, ``+ - * / // %``, the functions
-of `_FUNCTIONS` and ``reshape(raw, 4, 4)``; a name with other signs stands in quotes. It is no program: every part that is not
-listed here is refused before anything is computed, and each result must fit into the memory.
+of `_FUNCTIONS` and ``reshape(raw, 4, 4)``; a name with other signs stands in quotes. It is no program: every
+part that is not listed here is refused before anything is computed, and each result must fit into the memory.
 """
 
 from __future__ import annotations
