@@ -12,11 +12,11 @@ import numpy as np
 from disk import sha256_of
 from itof import phasors
 from itof.arrays import Numbers
+from itof.binary_fields import BinaryLayout
 from itof.capture.formulas import names_in, value_of
 from itof.capture.frame_axes import ordered, stacked
 from itof.capture.sidecar import BIN, TOO_COARSE, CaptureError, Sidecar
 from itof.files.array_claims import RefusedError
-from itof.files.binary_reading import BinaryLayout
 from itof.files.measurement_process import FileContents, read_contents
 from itof.files.picture_reading import IMAGE_ENDINGS
 from itof.light import SPEED_OF_LIGHT

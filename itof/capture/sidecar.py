@@ -23,9 +23,9 @@ from disk.quantities import (
     PixelPlace,
     Radians,
 )
+from itof.binary_fields import fields_of
 from itof.capture.formulas import names_in
 from itof.capture.phase_steps import phasor_weights
-from itof.files.binary_reading import fields_of
 from itof.light import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
@@ -92,7 +92,7 @@ class Binary:
     Attributes
     ----------
     fields : what a record holds, one after the other: ``NAME TYPE [SIDExSIDE] [stride BYTES]``
-        (`itof.files.binary_reading.fields_of`). Records follow each other to the end of the file.
+        (`itof.binary_fields.fields_of`). Records follow each other to the end of the file.
     shape : records of a frame; by default one. Arrays have the axes (frame, shape, sides).
     header : bytes before the first record.
     """

@@ -19,10 +19,11 @@ import numpy as np
 
 from disk.machine_memory import machine_bytes
 from itof.arrays import Numbers
+from itof.binary_fields import BinaryLayout
 from itof.exr.header import ImageFileError
 from itof.exr.image import FIELD_OF_VIEW, PROJECTOR, read_image
 from itof.files.array_claims import ARRAYS, RefusedError
-from itof.files.binary_reading import BinaryLayout, read_binary
+from itof.files.binary_reading import read_binary
 from itof.files.mat_reading import is_hdf5, read_mat
 from itof.files.npz_reading import read_npy, read_npz
 from itof.files.picture_reading import IMAGE_ENDINGS, read_picture

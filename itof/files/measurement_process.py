@@ -21,8 +21,8 @@ from typing import IO, Final
 import numpy as np
 
 from itof.arrays import Numbers
+from itof.binary_fields import BinaryLayout
 from itof.files.array_claims import ARRAYS, Claims, RefusedError
-from itof.files.binary_reading import BinaryLayout
 
 _MOST_HEAD_BYTES = 16 * 2**20
 _MOST_NAMES = 100

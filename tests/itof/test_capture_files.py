@@ -12,10 +12,10 @@ from PIL import Image
 from scipy.io import savemat
 from wall_measurements import wall_of_plane
 
+from itof.binary_fields import BinaryLayout
 from itof.capture.demodulating import frame_phasors
 from itof.capture.sidecar import CaptureError
 from itof.files.array_claims import RefusedError
-from itof.files.binary_reading import BinaryLayout
 from itof.files.measurement_child import read_arrays
 
 PHASOR = wall_of_plane().direct  # (18, 26, 3)
