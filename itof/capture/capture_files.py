@@ -21,7 +21,7 @@ from itof.files.measurement_process import FileContents, read_contents
 from itof.files.picture_reading import IMAGE_ENDINGS
 from itof.light import SPEED_OF_LIGHT
 
-ENDINGS: Final = (".npz", ".npy", ".h5", ".hdf5", ".exr", ".mat", *IMAGE_ENDINGS)
+ENDINGS: Final = (".npz", ".npy", ".h5", ".hdf5", ".exr", ".mat", ".mkv", *IMAGE_ENDINGS)
 SMALLEST: Final = 1e-30  # largest number of an array, whose square is not 0
 LARGEST: Final = 1e30  # number whose square can be summed
 FEW: Final = 3  # files or arrays in a sentence

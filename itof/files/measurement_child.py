@@ -27,6 +27,7 @@ from itof.files.binary_reading import read_binary
 from itof.files.mat_reading import is_hdf5, read_mat
 from itof.files.npz_reading import read_npy, read_npz
 from itof.files.picture_reading import IMAGE_ENDINGS, read_picture
+from itof.files.video_reading import read_video
 
 Contents = tuple[dict[str, Numbers], list[str]]
 _CPU_SECONDS = (
@@ -109,6 +110,8 @@ def _read(path: Path, wanted: tuple[str, ...]) -> Contents:
         return read_npy(path)
     if ending in IMAGE_ENDINGS:
         return read_picture(path)
+    if ending == ".mkv":
+        return read_video(path, wanted)
     if ending == ".mat" and not is_hdf5(path):
         return read_mat(path, wanted)
     from itof.files.hdf5_reading import read_hdf5

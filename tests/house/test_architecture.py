@@ -121,7 +121,7 @@ HOME = {
     ),
     "zarr": "render/products/zarr_copy.py",
     "numcodecs": "render/products/zarr_copy.py",
-    "imageio_ffmpeg": "render/products/movie_encoding.py",
+    "imageio_ffmpeg": ("render/products/movie_encoding.py", "itof/files/video_reading.py"),
     "dask": "render/farm/",
     "dask_jobqueue": "render/farm/",
     "distributed": "render/farm/",

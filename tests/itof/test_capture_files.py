@@ -1,12 +1,14 @@
 """Files without a format of their own, pictures and structures: each number is read as it was written."""
 
 import struct
+import subprocess
 import zlib
 
 import h5py
 import numpy as np
 import pytest
 from captures import IMAGES, TAPS, read_here, sidecar_of, steps, taps_of, write_sidecar
+from imageio_ffmpeg import get_ffmpeg_exe
 from night_commands import refusal
 from PIL import Image
 from scipy.io import savemat
@@ -150,6 +152,38 @@ def test_pictures_and_bare_arrays_that_are_damaged_or_made_to_do_harm_are_refuse
     with pytest.raises(RefusedError, match=words) as refused:
         read_arrays(path, ("array",))
     assert str(path) in str(refused.value)
+
+
+def write_mkv(path, *streams):
+    """Streams of 16 bits, or of 8, without loss."""
+    command = [get_ffmpeg_exe(), "-y", "-v", "error"]
+    for place, values in enumerate(streams):
+        values.tofile(part := path.with_suffix(f".{place}"))
+        kind = "gray16le" if values.dtype.itemsize == 2 else "gray"
+        command += ["-f", "rawvideo", "-pix_fmt", kind, "-s", "26x18", "-r", "7", "-i", part]
+    maps = [word for place in range(len(streams)) for word in ("-map", str(place))]
+    subprocess.run([*command, *maps, "-c:v", "ffv1", path], check=True)
+
+
+def test_streams_of_a_video_hold_the_numbers_that_were_written(tmp_path):
+    path = tmp_path / "frames.mkv"
+    write_mkv(path, RAW.astype(np.uint8), RAW[::-1].copy())
+    found, names = read_arrays(path, ("stream1",))
+    np.testing.assert_array_equal(found["stream1"], RAW[::-1])
+    assert names == ["stream0", "stream1"]
+    with pytest.raises(RefusedError, match="stream0 has numbers of the kind gray, and only grey"):
+        read_arrays(path, ("stream0",))
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(RefusedError, match=r"frames\.mkv"):
+        read_arrays(path, ("stream1",))
+
+
+@pytest.mark.parametrize("text", ["ffconcat version 1.0\nfile secret.mkv\n", "#EXTM3U\nsecret.mkv\n", ""])
+def test_a_video_leads_to_no_other_file(tmp_path, text):
+    write_mkv(tmp_path / "secret.mkv", RAW)
+    (tmp_path / "frames.mkv").write_text(text)
+    with pytest.raises(RefusedError, match="damaged or no MKV file with video"):
+        read_arrays(tmp_path / "frames.mkv", ("stream0",))
 
 
 def test_a_picture_of_8_bits_is_too_coarse(tmp_path):
