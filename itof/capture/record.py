@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
-from pydantic import TypeAdapter
+from pydantic import AliasChoices, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from disk import NightError, sha256_of
@@ -40,7 +40,9 @@ class ImportRecord:
     facts: CaptureFacts
     reference_facts: CaptureFacts | None
     generator: str
-    calibration_inputs: dict[str, str] = field(default_factory=dict)
+    calibration_inputs: dict[str, str] = Field(
+        default_factory=dict, validation_alias=AliasChoices("calibration_inputs", "dark_inputs")
+    )
 
     def __post_init__(self) -> None:
         count = len(self.sidecar.frequencies_hz)

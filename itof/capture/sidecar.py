@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AliasChoices, Field
 from pydantic.dataclasses import dataclass
 
 from disk import NightError
@@ -29,6 +29,7 @@ from itof.capture.phase_steps import phasor_weights
 from itof.light import OFFSET_STD_RAD
 
 AXES: Final = ("frame", "frequency", "step", "tap", "row", "column")
+CALIBRATION_FILE: Final = ("calibration_file", "dark_file")  # the second is that of earlier sidecars
 BIN: Final = "bin"  # axis of histograms, which phasors take the place of
 MOST_FREQUENCIES = 16
 _FEW_BITS = 8
@@ -190,7 +191,7 @@ class Sidecar:
     depth_along: Literal["ray", "axis"] = "ray"
     dark_arrays: Names = ()
     dark_axes: Annotated[tuple[Axis, ...], Field(max_length=6)] = ()
-    calibration_file: Name | None = None
+    calibration_file: Name | None = Field(default=None, validation_alias=AliasChoices(*CALIBRATION_FILE))
     exposures_s: tuple[ExposureTime, ...] = ()
     exposure_array: Name | None = None
     saturation_dn: ConverterNumber | None = None

@@ -54,18 +54,9 @@ def read_video(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers],
                 )
             shape = (int(match["height"]), int(match["width"]))
             kind = f"{match['kind'][:-2]}le"
-            end = [
-                "-map",
-                f"0:v:{place}",
-                "-fps_mode",
-                "passthrough",
-                "-f",
-                "rawvideo",
-                "-pix_fmt",
-                kind,
-                "-",
-            ]
-            found[name] = _frames(claims, name, [*start, *end], shape)
+            whole = ["-map", f"0:v:{place}", "-fps_mode", "passthrough"]
+            command = [*start, *whole, "-f", "rawvideo", "-pix_fmt", kind, "-"]
+            found[name] = _frames(claims, name, command, shape)
     return found, list(streams)
 
 

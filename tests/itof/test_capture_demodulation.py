@@ -103,8 +103,9 @@ def test_dark_frames_are_averaged_and_subtracted(tmp_path):
     sidecar = sidecar_of(tmp_path, dark_arrays=["dark"])
     assert_phasors(phasors(sidecar, raw=raw, dark=dark), tolerance=1e-12)
     np.savez(tmp_path / "dark.npz", dark=dark)
-    sidecar = sidecar_of(tmp_path, dark_arrays=["dark"], calibration_file="dark.npz")
-    assert_phasors(phasors_of(raw_of(sidecar, tmp_path, raw=raw), sidecar), tolerance=1e-12)
+    for key in ("calibration_file", "dark_file"):  # the second is the name in earlier versions
+        sidecar = sidecar_of(tmp_path, dark_arrays=["dark"], **{key: "dark.npz"})
+        assert_phasors(phasors_of(raw_of(sidecar, tmp_path, raw=raw), sidecar), tolerance=1e-12)
 
 
 def test_dark_frames_are_the_same_along_axes_that_they_lack(tmp_path):

@@ -128,6 +128,11 @@ def test_a_record_has_the_checksums_of_all_files(tmp_path):
     for files, name in found:
         file = (tmp_path / f"{name}.npz").resolve()
         assert files == {str(file): sha256_of(file)}
+    path = record_path(made.out)
+    names = {"calibration_inputs": "dark_inputs", "calibration_file": "dark_file"}  # of earlier versions
+    for name, earlier in names.items():
+        path.write_text(path.read_text().replace(name, earlier))
+    assert read_import_record(made.out) == record
 
 
 # Pictures
