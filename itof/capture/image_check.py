@@ -117,7 +117,10 @@ def _no_wall(fit: RobustFit) -> Finding:
     words = "no wall found: the phases are not those of a flat wall that fills the image"
     if len(wrong) < len(frequencies_hz):
         words = f"no wall found at {megahertz(*wrong)}: the phases are not those of the wall at the others"
-    words += ": is the camera turned to the wall, and are axes, steps and signs of the sidecar right?"
+    words += (
+        ": is the camera turned to the wall, does the wall fill a part only (key window of the sidecar), and "
+        "are axes, steps and signs right?"
+    )
     return Finding("no-wall", words, True)
 
 
@@ -196,7 +199,9 @@ def _capture(facts: CaptureFacts | None, fit: RobustFit, noise_rad: Floats) -> I
         words += "shorter exposure"
         yield Finding("saturated", words, False)
     if facts.dead > DEAD_NOTED:
-        words = f"{100 * facts.dead:.2g} % of the sensor pixels are dead: they give one number, or no light"
+        words = (
+            f"{100 * facts.dead:.2g} % of the sensor pixels are dead: they give one number, NaN or no light"
+        )
         yield Finding("dead-pixels", words, False)
 
 

@@ -121,7 +121,7 @@ class Sidecar:
     binary : how the arrays lie in a file without a format of its own.
     most_nan : largest part of an array that may be NaN or infinite; these pixels count as dead.
     window : left column, upper row, width and height of the part of the sensor that is used, pixels. The
-        image becomes that of a camera that is turned to the middle of the window.
+        image becomes that of a camera that is turned to the middle of the window, as wide as this allows.
     amplitude_arrays : the same for the amplitudes of the two last layouts.
     imaginary_arrays : the same for the imaginary parts, if `arrays` are the real parts of phasors.
     stacked_along : ``frame``, ``frequency``, ``step`` or ``tap``.
@@ -310,6 +310,8 @@ def _refuse_pairs(sidecar: Sidecar) -> None:
             {layout == "histograms", sidecar.bin_width_s is not None, BIN in sidecar.axes}
         )
         > 1,
+        "the layout histograms has neither frequency, step nor tap": layout == "histograms"
+        and not {"frequency", "step", "tap"}.isdisjoint("*".join(sidecar.axes).split("*")),
         "files steps goes with the layouts taps and differences": sidecar.files == "steps"
         and not sidecar.is_raw,
         TOO_COARSE: sidecar.bits is not None and sidecar.bits <= _FEW_BITS,

@@ -118,8 +118,9 @@ def _read(path: Path, wanted: tuple[str, ...]) -> Contents:
 
     if ending != ".mat":
         return read_hdf5(path, wanted)
-    found, names = read_hdf5(path, tuple(name.replace(".", "/") for name in wanted))  # fields of structures
-    return {name.replace("/", "."): values for name, values in found.items()}, names
+    places = {name: name.replace(".", "/") for name in wanted}  # fields of structures lie in groups
+    found, names = read_hdf5(path, tuple(places.values()))
+    return {name: found[place] for name, place in places.items() if place in found}, names
 
 
 def _read_phasors(path: Path) -> Contents:

@@ -269,6 +269,9 @@ def test_histograms_become_the_phasors_of_their_bins(tmp_path):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     with pytest.raises(CaptureError, match="the axis bin and bin_width_s go together"):
         sidecar_of(tmp_path, IMAGES, layout="phasors", bin_width_s=1e-9)
+    axes = ["row", "column", "frequency", "bin"]
+    with pytest.raises(CaptureError, match="the layout histograms has neither frequency"):
+        sidecar_of(tmp_path, IMAGES, layout="histograms", bin_width_s=1e-9, axes=axes)
 
 
 def test_the_command_asks_for_the_layout_of_a_file_of_bare_numbers(tmp_path):
