@@ -6,6 +6,7 @@ of numbers are read, also as fields of a structure: no objects, cells, functions
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,10 +46,13 @@ def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], l
         claims = Claims(path)
         here = {name: kind for name, _, kind in listed if name in wanted}
         fields = _fields(wanted, [name for name, _, kind in listed if kind == "struct"])
+        outside = {name.split(".")[0] for name in fields}
         for name, shape, kind in listed:
             if name in wanted:
                 _check(claims, name, kind, tuple(shape))
-        outer = [*here, *{name.split(".")[0] for name in fields}]
+            if name in outside and math.prod(shape) != 1:  # a header can claim any number of them
+                raise _many(path, name, math.prod(shape))
+        outer = [*here, *outside]
         read = loadmat(path, variable_names=outer, struct_as_record=True) if outer else {}
         found = {name: _of_kind(read[name], kind) for name, kind in here.items()}
         found |= {name: values for name in fields if (values := _field(path, read, name)) is not None}
@@ -78,14 +82,17 @@ def _field(path: Path, read: dict[str, Any], name: str) -> Numbers | None:
         if values.dtype.names is None or part not in values.dtype.names:
             return None
         if values.size != 1:
-            raise RefusedError(
-                f"{path}: {name} is a field of {values.size} structures, which are not read: save it as an "
-                "array of numbers"
-            )
+            raise _many(path, name, values.size)
         values = values[part].item()
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "iufc":
         raise RefusedError(f"{path}: {name} is no array of numbers: save it as one")
     return values
+
+
+def _many(path: Path, name: str, count: int) -> RefusedError:
+    return RefusedError(
+        f"{path}: {name} has {count} structures, whose fields are not read: save them as arrays of numbers"
+    )
 
 
 def _of_kind(values: Numbers, kind: str) -> Numbers:
