@@ -50,8 +50,8 @@ def read_mat(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers], l
         for name, shape, kind in listed:
             if name in wanted:
                 _check(claims, name, kind, tuple(shape))
-            if name in outside and math.prod(shape) != 1:  # a header can claim any number of them
-                raise _many(path, name, math.prod(shape))
+            if name in outside:
+                _refuse_many(path, name, math.prod(shape))  # a header can claim any number of them
         outer = [*here, *outside]
         read = loadmat(path, variable_names=outer, struct_as_record=True) if outer else {}
         found = {name: _of_kind(read[name], kind) for name, kind in here.items()}
@@ -81,18 +81,18 @@ def _field(path: Path, read: dict[str, Any], name: str) -> Numbers | None:
     for part in inner:
         if values.dtype.names is None or part not in values.dtype.names:
             return None
-        if values.size != 1:
-            raise _many(path, name, values.size)
+        _refuse_many(path, name, values.size)
         values = values[part].item()
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "iufc":
         raise RefusedError(f"{path}: {name} is no array of numbers: save it as one")
     return values
 
 
-def _many(path: Path, name: str, count: int) -> RefusedError:
-    return RefusedError(
-        f"{path}: {name} has {count} structures, whose fields are not read: save them as arrays of numbers"
-    )
+def _refuse_many(path: Path, name: str, count: int) -> None:
+    if count != 1:
+        raise RefusedError(
+            f"{path}: {name} has {count} structures, whose fields are not read: save them as arrays of numbers"
+        )
 
 
 def _of_kind(values: Numbers, kind: str) -> Numbers:
