@@ -91,7 +91,8 @@ def _field(path: Path, read: dict[str, Any], name: str) -> Numbers | None:
 def _refuse_many(path: Path, name: str, count: int) -> None:
     if count != 1:
         raise RefusedError(
-            f"{path}: {name} has {count} structures, whose fields are not read: save them as arrays of numbers"
+            f"{path}: {name} has {count} structures, whose fields are not read: save them as arrays of "
+            "numbers"
         )
 
 
