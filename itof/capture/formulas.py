@@ -35,6 +35,7 @@ _FUNCTIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "sin": np.sin,
 }
 _RESHAPE: Final = "reshape"
+_LONGEST: Final = 500  # characters, which nest less deep than Python's calls may
 _COPIES = 3  # of an array: a result and what it is made of
 
 
@@ -72,6 +73,8 @@ def value_of(text: str, arrays: Mapping[str, Numbers]) -> Numbers:
 
 
 def _parsed(text: str) -> ast.expr:
+    if len(text) > _LONGEST:
+        raise ValueError(f"a formula has {len(text)} characters, the most are {_LONGEST}: {text[:40]!r}...")
     try:
         return ast.parse(text.removeprefix(_SIGN).strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
