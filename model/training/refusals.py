@@ -121,6 +121,8 @@ def refuse_preset(
     camera, lens = settings.augmentation.camera, preset.camera
     if problem is None and not sample_scene(preset, 0).has_flash:
         problem = f"{source} has a projector of its own: networks know only a flash at the camera"
+    if problem is None and preset.is_sequence:
+        problem = f"{source} is a sequence, which shows one motion: train on a preset without frame_rate_hz"
     if problem is None and settings.input.bounce_images and not preset.is_one_corner:
         problem = f"{source} is of many corners (camera_spread): take --channels residual+wall"
     if problem is None and camera is not None:

@@ -16,7 +16,7 @@ from render.batch.light import BatchedLight, LightImages, suits
 from scenegen import Preset
 from scenegen.depth_range import NO_MESHES
 from scenegen.geometry_check import refusal
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import sample_valid_scene
 from scenegen.scene import Scene
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
