@@ -121,8 +121,6 @@ def refuse_preset(
     camera, lens = settings.augmentation.camera, preset.camera
     if problem is None and not sample_scene(preset, 0).has_flash:
         problem = f"{source} has a projector of its own: networks know only a flash at the camera"
-    if problem is None and preset.is_sequence:
-        problem = f"{source} is a sequence, which shows one motion: train on a preset without frame_rate_hz"
     if problem is None and settings.input.bounce_images and not preset.is_one_corner:
         problem = f"{source} is of many corners (camera_spread): take --channels residual+wall"
     if problem is None and camera is not None:
@@ -176,6 +174,8 @@ def _fresh_problem(
         return "fresh scenes have no simulated ground truth: take run.ground_truth=geometry"
     if bounces != _BOUNCES:
         return f"fresh scenes have {_BOUNCES} bounces, and the preset asks for {bounces}"
+    if fresh.preset.is_sequence:
+        return "the preset is of a sequence, which shows one motion: train without dataset.frame_rate_hz"
     if not named <= set(meshes):
         return "the mesh files of fresh scenes are not known: give --fresh PRESET, also with --resume"
     if paper is not None and paper.copies_per_change:
