@@ -46,6 +46,8 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
     refuse_other_run(out, resume)
     for split in ("train", "validation"):
         if not dataset.ids(split):
+            if dataset.preset.is_sequence:
+                raise TrainingError(f"{dataset.root} is a sequence, to judge by: train on other scenes")
             raise TrainingError(
                 f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
                 "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from itof.pictures.depth_film import MOST_FRAMES, FilmFrame, write_depth_film
 from itof.pictures.figures import depth_range
-from itof.pictures.film import MOST_FRAMES, FilmFrame, write_film
 from model.judging.judging import Bench, shown_scenes
 from model.judging.report.scenes_figure import describe
 from model.judging.results import Report
@@ -33,4 +33,4 @@ def write_sequence_film(folder: Path, bench: Bench, report: Report) -> None:
             yield FilmFrame(said, {"truth": scene.truth, "prediction": scene.prediction})
 
     rate_hz = report.frame_rate_hz / step
-    write_film(folder / FILM_FILE, frames(), rate_hz, (min(nears_m), max(fars_m)))
+    write_depth_film(folder / FILM_FILE, frames(), rate_hz, (min(nears_m), max(fars_m)))

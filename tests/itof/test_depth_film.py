@@ -6,7 +6,7 @@ from matplotlib import colormaps
 from PIL import Image
 
 from itof import DepthMap
-from itof.pictures.film import FilmFrame, write_film
+from itof.pictures.depth_film import FilmFrame, write_depth_film
 
 NEAR_M, FAR_M = 2.0, 3.0
 HEIGHT, WIDTH, TIMES = 6, 10, 32  # pixels of 10 columns become squares of 32
@@ -36,7 +36,7 @@ def depth_of(pixels):
 def test_the_depths_of_every_frame_can_be_read_from_its_colours_and_its_time_is_that_of_the_rate(tmp_path):
     views = moving()
     frames = [FilmFrame(f"{k} s", {"truth": one, "prediction": two}) for k, (one, two) in enumerate(views)]
-    write_film(tmp_path / "film.gif", iter(frames), 4.0, (NEAR_M, FAR_M))
+    write_depth_film(tmp_path / "film.gif", iter(frames), 4.0, (NEAR_M, FAR_M))
     with Image.open(tmp_path / "film.gif") as film:
         assert (film.n_frames, film.info["loop"]) == (5, 0)
         for number, pair in enumerate(views):
@@ -50,13 +50,13 @@ def test_the_depths_of_every_frame_can_be_read_from_its_colours_and_its_time_is_
                 shown_m, true_m = depth_of(panel), np.where(view.mask, view.radial_depth_m, np.nan)
                 # Half a step of the film's 224 colours over 1 m, and one of the 256 that they are taken from.
                 np.testing.assert_allclose(shown_m, true_m, atol=0.5 / 223 + 1 / 255)
-    write_film(tmp_path / "again.gif", frames, 4.0, (NEAR_M, FAR_M))
+    write_depth_film(tmp_path / "again.gif", frames, 4.0, (NEAR_M, FAR_M))
     assert (tmp_path / "again.gif").read_bytes() == (tmp_path / "film.gif").read_bytes()
 
 
 @pytest.mark.parametrize(("rate_hz", "duration_ms"), [(50, 20), (1000, 20), (0.5, 2000), (1e-3, 600_000)])
 def test_a_film_is_as_fast_as_browsers_show(tmp_path, rate_hz, duration_ms):
     frames = [FilmFrame("", {"prediction": square(2.1, k)}) for k in range(2)]
-    write_film(tmp_path / "film.gif", frames, rate_hz, (NEAR_M, FAR_M))
+    write_depth_film(tmp_path / "film.gif", frames, rate_hz, (NEAR_M, FAR_M))
     with Image.open(tmp_path / "film.gif") as film:
         assert film.info["duration"] == duration_ms
