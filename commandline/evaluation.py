@@ -119,7 +119,8 @@ def judge(
     report = model.evaluate(run, open_dataset(dataset), out, force=force, **given)
     for warning in report.warnings:
         say(f"warning: {warning}")
-    look = f"look at {out / 'index.html'}; figures and point clouds are beside it"
+    beside = "figures, point clouds and the film" if report.frame_rate_hz else "figures and point clouds"
+    look = f"look at {out / 'index.html'}; {beside} are beside it"
     tell([report.table, look], metrics, as_json)
 
 

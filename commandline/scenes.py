@@ -124,7 +124,8 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
         refuse_impossible_corner(settings, meshes)
         light = expected_light(settings, meshes)
         said.append(NO_LIGHT if light is None else light.sentence)
-        said.append(f"a network: `night-train --for {preset} --out RUN` says first what error to expect")
+        if not settings.is_sequence:
+            said.append(f"a network: `night-train --for {preset} --out RUN` says first what error to expect")
         found["hidden_light"] = None if light is None else light.as_data()
     except BackendError as error:
         said.append(f"hidden light: not computed, because {error}")

@@ -111,6 +111,7 @@ ConverterOffset = Annotated[float, Bounds(0, 1e12, "DN")]
 ConverterNumber = Annotated[float, Bounds(1e-6, 1e12, "DN")]
 
 # Times and speeds.
+FrameRate = Annotated[float, Bounds(1e-3, 1e6, "Hz")]
 Speed = Annotated[float, Bounds(-10, 10, "m/s")]
 RiseTime = Annotated[float, Bounds(0, 1e-6, "s")]
 IntegrationTime = Annotated[float, Bounds(1e-12, 1e3, "s")]

@@ -10,6 +10,7 @@ from .dataset import (
 )
 from .making.datasets import make_dataset
 from .pose import camera_axes, rotation_matrix, wall_normal
+from .possible_scenes import SamplingError, sample_valid_scene
 from .preset import Preset, load_preset, preset_from_dict
 from .recorded_files import RENDER_AGAIN, RenderFileError, is_recorded, recorded_file
 from .render_folder import (
@@ -40,7 +41,7 @@ from .rendering_record import (
     read_rendering_record,
     write_rendering_record,
 )
-from .sampling import SamplingError, leaks, sample_scene, sample_valid_scene
+from .sampling import leaks, sample_scene
 from .scene import Camera, Scene, Split, scene_from_json, scene_id, scene_to_json
 
 __all__ = [

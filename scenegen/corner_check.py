@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Final
 
@@ -13,12 +14,13 @@ from scipy.optimize import linprog
 from disk.preset_files import PresetError
 from scenegen.corner_geometry import Frustum, Points, corners_of, crosses, distances_m, lit_points, local
 from scenegen.depth_range import NO_MESHES, largest_radius_m, refuse_wrapping_depths
-from scenegen.geometry_check import CLEARANCE_M, possible_region
+from scenegen.geometry_check import CLEARANCE_M, possible_region, refusal
 from scenegen.pose import camera_axes, wall_normal
+from scenegen.possible_scenes import refuse_impossible_objects
 from scenegen.preset import CameraSettings, CameraSpread, Preset
 from scenegen.sampling import projector_of, sample_scene, walls_of
 from scenegen.scene import Emitter, Wall
-from scenegen.shapes import MESH_PREFIX, Shape
+from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 from scenegen.unit_meshes import UnitMesh
 
 _CAMERAS: Final = 6  # of those that are spread
@@ -41,6 +43,7 @@ def refuse_impossible_corner(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
     PresetError : one sentence. The camera is behind or beside the relay wall or turned away; the walls cross
         or leave no gap; no light gets to the hidden region; its objects are behind the relay wall or in view;
         or the frequencies do not represent every depth (`refuse_wrapping_depths`).
+    SamplingError : an object, or a frame of a sequence, fits nowhere (`refuse_impossible_objects`).
     """
     for problem in _behind(preset, walls_of(preset)[0]):
         raise PresetError(problem)
@@ -49,6 +52,8 @@ def refuse_impossible_corner(preset: Preset, meshes: Mapping[Shape, UnitMesh] = 
             raise PresetError(problem)
         break
     refuse_wrapping_depths(preset, meshes)
+    if {*preset.shapes} <= {*PRIMITIVES, *meshes}:
+        refuse_impossible_objects(preset, partial(refusal, meshes=meshes))
 
 
 def _other_corners(preset: Preset) -> Iterator[Preset]:
@@ -72,7 +77,8 @@ def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]
     points = lit_points(camera, projector, relay, middle)
     if not len(points):
         yield "the projector lights nothing of the relay wall that the camera sees: turn or move it"
-    yield from _in_view(preset, relay, middle, projector, meshes)
+    if not preset.is_sequence:  # whose frames are checked one by one
+        yield from _in_view(preset, relay, middle, projector, meshes)
     places = _region(preset, largest_radius_m(preset, meshes), relay, middle)
     if len(places) and all(crosses(middle, place, points).all() for place in places):
         if gap_m <= CLEARANCE_M and _meet(relay, middle):

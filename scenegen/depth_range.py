@@ -88,7 +88,7 @@ def boxes(
     least, most = hidden.size_factor
     found = []
     for listed in preset.object:
-        box = _box(listed.location_m or hidden.location_m)
+        box = _box(listed.places_m(hidden.location_m))
         for thing in listed.things:
             offset = _box(thing.offset_m) if isinstance(thing, BesideObject) else np.zeros((3, 2))
             low, high = offset[:, 0], offset[:, 1]

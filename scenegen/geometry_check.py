@@ -12,7 +12,7 @@ from disk.quantities import Vector
 from scenegen.mitsuba_description import hidden_names
 from scenegen.pose import blender_matrix
 from scenegen.scene import Scene, Wall
-from scenegen.shapes import Shape
+from scenegen.shapes import MESH_PREFIX, Shape
 from scenegen.unit_meshes import UnitMesh, unit_mesh
 
 CLEARANCE_M = 1e-3  # objects keep this distance to the relay wall, so that no ray starts inside it
@@ -38,7 +38,7 @@ def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({}
         outside = inwards <= 0
         if outside.any():
             first = outside[:, outside.any(axis=0).argmax()]  # (6 or 12,)
-            return f"{name} " + (
+            return f"{part.shape.removeprefix(MESH_PREFIX)} ({name}) " + (
                 "reaches through the relay wall" if first[0] else "shows beside the middle wall"
             )
     return None

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT
 from disk.preset_files import PresetError
-from disk.quantities import Extent, Length, Reflectance
+from disk.quantities import Extent, Length, Location, Reflectance, Rotation, Vector
 from scenegen.object_settings import LocationRanges, MetreRange, RotationRanges, ShapeSizes
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape, known_shape
 
 Unit = Literal["m", "cm", "mm"]
+Path = tuple[Vector, ...]  # waypoints
 UpAxis = Literal["y", "z"]
 METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_MOST_WAYPOINTS: Final = 100_000
+_OF_PATHS: Any = Field(  # left out of files where it is None
+    min_length=2, max_length=_MOST_WAYPOINTS, exclude_if=lambda value: value is None
+)
 
 
 def _mesh_file(file: str) -> str:
@@ -101,11 +106,31 @@ class BesideObject(Thing):
 class ListedObject(Thing):
     """An object, and those that are beside it in its scenes.
 
-    `location_m` is as `HiddenObjectSettings.location_m`, which None takes.
+    Attributes
+    ----------
+    location_m : as `HiddenObjectSettings.location_m`, which None takes.
+    path_m : waypoints of its centre over a sequence, at equal steps of time, joined by straight lines.
+    path_deg : the same for its angles, in place of `rotation_deg`.
     """
 
     location_m: LocationRanges | None = None
     beside: tuple[BesideObject, ...] = ()
+    path_m: Annotated[tuple[Location, ...] | None, _OF_PATHS] = None
+    path_deg: Annotated[tuple[Rotation, ...] | None, _OF_PATHS] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for path, ranges in (("path_m", "location_m"), ("path_deg", "rotation_deg")):
+            if getattr(self, path) and getattr(self, ranges):
+                raise ValueError(f"give {path} or {ranges}, not both")
+
+    def places_m(self, usual: LocationRanges) -> LocationRanges:
+        """Ranges of its centre: around its path, its own or the usual ones."""
+        return LocationRanges(*_around(self.path_m)) if self.path_m else self.location_m or usual
+
+    def turns_deg(self, usual: RotationRanges) -> RotationRanges:
+        """The same of its angles."""
+        return RotationRanges(*_around(self.path_deg)) if self.path_deg else self.rotation_deg or usual
 
     @property
     def things(self) -> tuple[Thing, ...]:
@@ -116,3 +141,17 @@ class ListedObject(Thing):
     def class_name(self) -> str:
         """Class of its scenes."""
         return " + ".join(thing.name for thing in self.things)
+
+
+def on_path(path: Path, frame: int, count: int) -> Vector:
+    """Place of a path in one of `count` frames; the first is at its start, the last at its end."""
+    last = max(count - 1, 1)
+    leg, rest = divmod(frame * (len(path) - 1), last)  # whole numbers: a frame on a waypoint is exactly there
+    start, end = path[leg], path[min(leg + 1, len(path) - 1)]
+    x, y, z = (a + (b - a) * rest / last for a, b in zip(start, end, strict=True))
+    return (x, y, z)
+
+
+def _around(path: Path) -> list[tuple[float, float]]:
+    """Smallest and largest value of each axis."""
+    return [(min(axis), max(axis)) for axis in zip(*path, strict=True)]

@@ -6,6 +6,7 @@ else ours (docs/science/design.md, Scene).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import gcd
 from typing import Annotated, Any, Literal
 
@@ -24,6 +25,7 @@ from disk.quantities import (
     Distance,
     FieldOfView,
     Fraction,
+    FrameRate,
     Frequency,
     Length,
     Location,
@@ -49,13 +51,16 @@ class DatasetSettings:
     """Number of scenes, random seed, and split into train, validation and test.
 
     `test_fraction` is a fraction of all scenes, `validation_fraction` of the scenes that are not for testing.
-    The paper describes no validation split; its size is ours.
+    The paper describes no validation split; its size is ours. With a `frame_rate_hz`, the scenes are the
+    frames of one sequence, all in the test split. They share all that is drawn, and the object follows its
+    path (`ListedObject`).
     """
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 1344  # ids have six digits
     seed: Seed = 0
     test_fraction: Fraction = 0.2
     validation_fraction: Fraction = 0.2
+    frame_rate_hz: Annotated[FrameRate | None, Field(exclude_if=lambda value: value is None)] = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -193,14 +198,14 @@ class Preset:
     def places_m(self) -> LocationRanges:
         """The smallest box around the ranges of all first objects of scenes."""
         usual = self.hidden_object.location_m
-        found = [each.location_m or usual for each in self.object] or [usual]
+        found = [each.places_m(usual) for each in self.object] or [usual]
         return LocationRanges(*(_around([getattr(each, axis) for each in found]) for axis in "xyz"))
 
     @property
     def turns_deg(self) -> RotationRanges:
         """The same of their angles."""
         usual = self.hidden_object.rotation_deg
-        found = [each.rotation_deg or usual for each in self.object] or [usual]
+        found = [each.turns_deg(usual) for each in self.object] or [usual]
         return RotationRanges(*(_around([getattr(each, axis) for each in found]) for axis in "xyz"))
 
     @property
@@ -208,9 +213,27 @@ class Preset:
         """Whether all scenes have the same camera and the same relay wall, but for its roughness."""
         return self.camera_spread == CameraSpread()
 
+    @property
+    def is_sequence(self) -> bool:
+        """Whether the scenes are the frames of one sequence."""
+        return self.dataset.frame_rate_hz is not None
+
+    def continues(self, before: Preset) -> bool:
+        """Whether the scenes of `before` are the first ones of this preset, or its first are those."""
+        if self.is_sequence:  # more frames are other frames
+            return self == before
+        return replace(self, dataset=replace(self.dataset, count=before.dataset.count)) == before
+
     def __post_init__(self) -> None:
         if self.object and self.hidden_object.shapes != PRIMITIVES:
             raise ValueError("give hidden_object.shapes or tables [[object]], not both")
+        if any(each.path_m or each.path_deg for each in self.object) and not self.is_sequence:
+            raise ValueError("object.path_m and path_deg are for a sequence: give dataset.frame_rate_hz, too")
+        if self.is_sequence and (len(self.object) != 1 or self.hidden_object.empty_fraction):
+            raise ValueError(
+                "dataset.frame_rate_hz makes the scenes frames of one sequence, which show the same object: "
+                "give one table [[object]], and no hidden_object.empty_fraction"
+            )
         self.hidden_object.refuse_sizes(
             side
             for each in self.object

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import floor
 
 import numpy as np
 
-from disk.night_error import NightError
 from disk.quantities import Vector
-from scenegen.object_settings import HiddenObjectSettings, LocationRanges, RotationRanges
-from scenegen.object_tables import BesideObject, ListedObject, OffsetRanges
+from scenegen.object_settings import LocationRanges, RotationRanges
+from scenegen.object_tables import BesideObject, OffsetRanges, Path, on_path
 from scenegen.preset import Preset
 from scenegen.scene import (
     COMPOSITE,
@@ -26,22 +25,17 @@ from scenegen.scene import (
     Wall,
 )
 
-MAX_ATTEMPTS = 1000
-
-
-class SamplingError(NightError):
-    """No sample of a scene fits behind the middle wall."""
-
 
 def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
     """Draw scene `index`; `attempt` is the number of earlier draws that the geometry check refused.
 
     The random stream is seeded with (dataset seed, index, attempt). A scene therefore depends neither on the
-    number of scenes nor on the order of work.
+    number of scenes nor on the order of work. All frames of a sequence have the stream of the first.
     """
-    rng = np.random.default_rng([preset.dataset.seed, index, attempt])
+    drawn = 0 if preset.is_sequence else index
+    rng = np.random.default_rng([preset.dataset.seed, drawn, attempt])
     which, object_class, split = _class_and_split(preset, index)
-    parts = _sample_parts(preset, which, object_class, rng)
+    parts = _sample_parts(preset, index, which, object_class, rng)
     roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
     camera = _sample_camera(preset, rng)
     reflectance = _sample_reflectance(preset, rng)
@@ -79,33 +73,16 @@ def walls_of(preset: Preset) -> tuple[Wall, Wall]:
     return relay, middle
 
 
-def sample_valid_scene(preset: Preset, index: int, refusal: Callable[[Scene], str | None]) -> Scene:
-    """The first draw of scene `index` that is possible.
-
-    Parameters
-    ----------
-    refusal : returns None for a possible scene, else the reason.
-
-    Raises
-    ------
-    SamplingError : none of 1000 draws is possible; the preset's ranges leave no room.
-    """
-    reason = ""
-    for attempt in range(MAX_ATTEMPTS):
-        scene = sample_scene(preset, index, attempt)
-        refused = refusal(scene)
-        if refused is None:
-            return scene
-        reason = refused
-    raise SamplingError(
-        f"scene {index}: none of {MAX_ATTEMPTS} draws fits the room (the last: {reason}); "
-        "widen location_m or make the object smaller"
-    )
-
-
 def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
     """Object class and split of scene `index`."""
     return _class_and_split(preset, index)[1:]
+
+
+def first_of_each_class(preset: Preset, most: int) -> list[int]:
+    """The first scene of each class, or table `[[object]]`, among the first `most` scenes of a preset."""
+    scenes = range(min(most, preset.dataset.count))
+    first = {_class_and_split(preset, index)[0]: index for index in reversed(scenes)}
+    return sorted(first.values())
 
 
 def _class_and_split(preset: Preset, index: int) -> tuple[int, str, Split]:
@@ -117,6 +94,8 @@ def _class_and_split(preset: Preset, index: int) -> tuple[int, str, Split]:
     This makes the totals exact, too (Hermite's identity): of 1344 scenes, 860 are for training, 215 for
     validation and 269 for testing. The paper has 1075 and 269, and describes no validation split.
     """
+    if preset.is_sequence:
+        return 0, preset.object[0].class_name, "test"
     settings, hidden = preset.dataset, preset.hidden_object
     empty, fraction = hidden.empty_fraction, 0.0 if preset.object else hidden.pair_fraction
     usual = [each.class_name for each in preset.object] or hidden.shapes
@@ -183,13 +162,13 @@ def _dealt(count: int, fraction: float, start: float) -> int:
 
 
 def _sample_parts(
-    preset: Preset, which: int, object_class: str, rng: np.random.Generator
+    preset: Preset, index: int, which: int, object_class: str, rng: np.random.Generator
 ) -> list[HiddenObject]:
-    """The objects of a scene of the class number `which`, before what is drawn last for all of them."""
+    """Objects of scene `index`, of the class number `which`, before what is drawn last for all of them."""
     if object_class == EMPTY:
         return []
     if preset.object:
-        return _sample_listed(preset.hidden_object, preset.object[which], rng)
+        return _sample_listed(preset, index, which, rng)
     first = _sample_first(preset, object_class, rng)
     return [first, _sample_second(preset, first, rng)] if object_class == COMPOSITE else [first]
 
@@ -204,20 +183,25 @@ def _finished(part: HiddenObject, first: HiddenObject, reflectance: float, facto
     return replace(part, location_m=(x, y, z), size_m=(width, depth, height))
 
 
-def _sample_listed(
-    usual: HiddenObjectSettings, listed: ListedObject, rng: np.random.Generator
-) -> list[HiddenObject]:
-    """An object of a table, and those beside it."""
+def _sample_listed(preset: Preset, index: int, which: int, rng: np.random.Generator) -> list[HiddenObject]:
+    """The object of a table in scene `index`, and those beside it."""
+    usual, listed = preset.hidden_object, preset.object[which]
+
+    def drawn(ranges: LocationRanges | OffsetRanges | RotationRanges, path: Path | None = None) -> Vector:
+        return on_path(path, index, preset.dataset.count) if path else _uniform(rng, _axes(ranges))
+
     places: list[Vector] = []
     parts = []
     for thing in listed.things:
+        turns = thing.rotation_deg or usual.rotation_deg
         if isinstance(thing, BesideObject):
-            places.append(_sum(places[0], _uniform(rng, _axes(thing.offset_m))))
+            places.append(_sum(places[0], drawn(thing.offset_m)))
+            turn_deg = drawn(turns)
         else:
-            places.append(_uniform(rng, _axes(listed.location_m or usual.location_m)))
-        turn = _uniform(rng, _axes(thing.rotation_deg or usual.rotation_deg))
+            places.append(drawn(listed.location_m or usual.location_m, listed.path_m))
+            turn_deg = drawn(turns, listed.path_deg)
         extent_m = thing.extent_m(usual.size_m)
-        parts.append(HiddenObject(thing.name, extent_m, places[-1], turn, thing.reflectance))
+        parts.append(HiddenObject(thing.name, extent_m, places[-1], turn_deg, thing.reflectance))
     return parts
 
 

@@ -57,6 +57,7 @@ def evaluate(
     ``summary.md``      summary as Markdown
     ``figures/``        pictures of scenes: ``best.png``, ``median.png``, ``worst.png``, and several in
                         ``scenes.png`` and ``point_clouds.png``; charts of the page
+    ``film.gif``        truth beside prediction over time; of a sequence only
     ``pointclouds/``    ``<id>_gt.ply`` (blue) and ``<id>_pred.ply`` (green to red by distance from the
                         truth); missing if no pixel shows an object
     ==================  ======================================================================================
@@ -83,6 +84,7 @@ def evaluate(
     """
     need("report", ("jinja2", "plotly"), "the report of night-eval")
     from model.judging.report.page import write_page
+    from model.judging.report.sequence_film import write_sequence_film
 
     run, out = run_folder(run), Path(out).resolve()  # `whole_folder` needs a name; "." has none
     refuse_other_contents(out)
@@ -109,8 +111,9 @@ def evaluate(
         clouds = folder / "pointclouds"
         clouds.mkdir()
         report = replace(judge_split(bench, split, clouds), unlike_training=unlike)
-        shown = shown_scenes(bench, choose(report.ranked))
-        figured = shown_scenes(bench, choose_for_figures(report.ranked, scenes))
+        shown = list(shown_scenes(bench, choose(report.ranked)))
+        figured = list(shown_scenes(bench, choose_for_figures(report.ranked, scenes)))
+        write_sequence_film(folder, bench, report)
         write_page(folder, report, shown, figured, history, predictor.config, _origin(bench, run))
         write_files(folder, report, _origin(bench, run))
         refuse_other_contents(out)  # which may have got other files meanwhile

@@ -125,6 +125,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
         calibration=_calibration(bench, sweep.curve()),
         reliability=reliability.curve() if has_probability else None,
         depth_reliability=depth_reliability.curve(),
+        frame_rate_hz=bench.dataset.preset.dataset.frame_rate_hz,
     )
 
 
@@ -139,26 +140,22 @@ def _calibration(bench: Bench, judged: ThresholdCurve) -> Calibration:
     return Calibration(bench.predictor.config.readout, bench.readout, judged, validation)
 
 
-def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> list[ShownScene]:
-    """Scenes by rank, predicted again."""
+def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> Iterator[ShownScene]:
+    """Scenes by rank, predicted again, one at a time."""
     rows = {scene.id: row for row, scene in enumerate(bench.shards.manifest.scenes)}
-    shown = []
     for rank, result in chosen.items():
         block = bench.shards.read([rows[result.scene]])
         prediction = bench.predict(block)[0]
         truth_m, mask = block.radial_depth_m[0], block.mask[0] > 0
         fov_deg = bench.dataset.scene(result.scene).camera.horizontal_fov_deg
-        shown.append(
-            ShownScene(
-                rank,
-                result,
-                DepthMap(truth_m, mask, _true_phasor(bench, block), bench.readout.frequency_hz),
-                prediction,
-                object_points(truth_m, mask, fov_deg),
-                object_points(prediction.radial_depth_m, prediction.mask, fov_deg),
-            )
+        yield ShownScene(
+            rank,
+            result,
+            DepthMap(truth_m, mask, _true_phasor(bench, block), bench.readout.frequency_hz),
+            prediction,
+            object_points(truth_m, mask, fov_deg),
+            object_points(prediction.radial_depth_m, prediction.mask, fov_deg),
         )
-    return shown
 
 
 def _true_phasor(bench: Bench, block: RowBlock) -> NDArray[np.complexfloating]:

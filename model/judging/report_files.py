@@ -57,6 +57,7 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
         **origin,
         "split": report.split,
         "scene_count": len(report.scenes),
+        "frame_rate_hz": report.frame_rate_hz,
         "warnings": report.warnings,
         "depth": "radial (along the ray), metres; background counts with depth 0",
         "mask_from": report.calibration.judged_readout.mask_from,

@@ -109,6 +109,7 @@ class Report:
     reliability : of the probabilities; None if the network predicts none.
     depth_reliability : of the expected errors of the depth; None if it expects none, or finds no object.
     unlike_training : what the scenes have that the training had not (`model.judging.other_corner`).
+    frame_rate_hz : of a sequence, whose frames the scenes are; None for other datasets.
     """
 
     split: Split
@@ -120,6 +121,11 @@ class Report:
     reliability: Reliability | None = None
     depth_reliability: DepthReliability | None = None
     unlike_training: tuple[str, ...] = ()
+    frame_rate_hz: float | None = None
+
+    def seconds(self, result: SceneResult) -> float:
+        """Time of a frame of a sequence, from the first on; 0 where the scenes are none."""
+        return int(result.scene) / self.frame_rate_hz if self.frame_rate_hz else 0.0
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 from disk.contract import STRICT
 from scenegen import Preset, Scene
 from scenegen.geometry_check import refusal
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import sample_valid_scene
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 

@@ -46,6 +46,8 @@ def refuse_start(dataset: Dataset, out: Path, resume: bool) -> None:
     refuse_other_run(out, resume)
     for split in ("train", "validation"):
         if not dataset.ids(split):
+            if dataset.preset.is_sequence:
+                raise TrainingError(f"{dataset.root} is a sequence, to judge by: train on other scenes")
             raise TrainingError(
                 f"{dataset.root} has no {split} scenes ({len(dataset.ids())} scenes in all): make more "
                 "scenes, or change dataset.test_fraction and dataset.validation_fraction of the preset"
@@ -174,6 +176,8 @@ def _fresh_problem(
         return "fresh scenes have no simulated ground truth: take run.ground_truth=geometry"
     if bounces != _BOUNCES:
         return f"fresh scenes have {_BOUNCES} bounces, and the preset asks for {bounces}"
+    if fresh.preset.is_sequence:
+        return "the preset is of a sequence, which shows one motion: train without dataset.frame_rate_hz"
     if not named <= set(meshes):
         return "the mesh files of fresh scenes are not known: give --fresh PRESET, also with --resume"
     if paper is not None and paper.copies_per_change:

@@ -16,7 +16,7 @@ from render.batch.light import BatchedLight, LightImages, suits
 from scenegen import Preset
 from scenegen.depth_range import NO_MESHES
 from scenegen.geometry_check import refusal
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import possible_scenes
 from scenegen.scene import Scene
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
@@ -100,10 +100,9 @@ def expected_light(
     sides = (camera.width, camera.height)
     smaller = max(_LONGEST_SIDE / max(sides), min(1.0, _SHORTEST_SIDE / min(sides)))
     size = [round(smaller * side) for side in sides]
-    scenes = [
-        _resized(sample_valid_scene(preset, index, partial(refusal, meshes=meshes)), *size)
-        for index in range(min(_SCENES, preset.dataset.count))
-    ]
+    draw = possible_scenes(preset, partial(refusal, meshes=meshes))
+    step = -(-preset.dataset.count // _SCENES) if preset.is_sequence else 1
+    scenes = [_resized(draw(index), *size) for index in range(0, preset.dataset.count, step)[:_SCENES]]
     if not all(map(suits, scenes)):
         return None
     engine = BatchedLight(hz, *size, error=_ERROR, meshes=meshes, device=device)

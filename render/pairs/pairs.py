@@ -114,7 +114,7 @@ def write_pairs(
     height, width = _only_size(folders, measured)
     of_pairs = replace(
         preset,
-        dataset=replace(preset.dataset, count=len(folders)),
+        dataset=replace(preset.dataset, count=len(folders), frame_rate_hz=None),
         camera=replace(preset.camera, width=width, height=height),
         hidden_object=replace(preset.hidden_object, shapes=("sphere",), composite_fraction=0.0),
         object=(),

@@ -25,8 +25,11 @@ def choose_scenes(dataset: Dataset, count: int) -> list[str]:
     """Ids of `count` scenes in ascending order, or of all scenes if there are fewer.
 
     Classes get equal numbers of scenes. In a class, rendered scenes come first, then scenes of the split that
-    has the fewest so far. Equal datasets give equal choices.
+    has the fewest so far. Equal datasets give equal choices. Frames of a sequence are taken at equal steps.
     """
+    if dataset.preset.is_sequence:
+        ids = dataset.ids()
+        return ids[:: -(-len(ids) // count)]
     left = {
         entry.id: (entry.object_class, entry.split, not is_rendered(dataset, entry.id))
         for entry in dataset.index.scenes

@@ -15,8 +15,8 @@ from scenegen.dataset import Dataset, SceneEntry, build_index, open_dataset, sce
 from scenegen.geometry_check import refusal
 from scenegen.making.replacing import losses, remove_renders
 from scenegen.making.target import NO_MESHES, alone_in, check_target, refuse_files_of_others, surplus
+from scenegen.possible_scenes import possible_scenes
 from scenegen.preset import Preset
-from scenegen.sampling import sample_valid_scene
 from scenegen.scene import Scene
 from scenegen.scene_folder import MOST_FILE_BYTES
 from scenegen.shapes import Shape
@@ -68,9 +68,10 @@ def generate(
     DatasetError : as `check_target` and `alone_in`.
     SamplingError : the preset's ranges leave an object no room.
     """
+    drawn = possible_scenes(preset, functools.partial(refusal, meshes=maker.meshes))
     with alone_in(root):
         prepare(root, preset, meshes, replacing=replacing)
-        scenes = (write_scene(root, preset, index, maker) for index in range(preset.dataset.count))
+        scenes = (write_scene(root, drawn(index), maker) for index in range(preset.dataset.count))
         return finish(root, preset, meshes, reported(scenes, on_scene), maker.version)
 
 
@@ -99,14 +100,13 @@ def reported(scenes: Iterable[SceneEntry], on_scene: Callable[[], None]) -> Iter
         yield scene
 
 
-def write_scene(root: Path, preset: Preset, index: int, maker: Maker) -> SceneEntry:
-    """Draw scene `index` and write its folder, unless it already has exactly these bytes.
+def write_scene(root: Path, scene: Scene, maker: Maker) -> SceneEntry:
+    """Write the folder of a scene, unless it already has exactly these bytes.
 
     Raises
     ------
     DatasetError : the folder has a file that no scene of this kind has.
     """
-    scene = sample_valid_scene(preset, index, functools.partial(refusal, meshes=maker.meshes))
     files = maker.files(scene)
     folder = inside(root, "scenes", scene.id)
     if not _holds(folder, files):

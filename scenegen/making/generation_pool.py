@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -12,9 +13,12 @@ from pathlib import Path
 from disk.night_error import NightError
 from processes.worker_processes import KILLED, results_in_order, submit, worker_pool
 from scenegen.dataset import Dataset, SceneEntry
+from scenegen.geometry_check import refusal
 from scenegen.making.generation import Maker, finish, prepare, reported, write_scene
 from scenegen.making.target import NO_MESHES, alone_in
+from scenegen.possible_scenes import possible_scenes
 from scenegen.preset import Preset
+from scenegen.scene import Scene
 
 _CHUNK = 16  # scenes of one task: it takes tens of milliseconds, so that progress is visible
 
@@ -74,12 +78,14 @@ class _Worker:
     preset: Preset
     make_maker: Callable[[], Maker]
     stop: Event
-    makers: list[Maker]  # made in the first task: the parent gets its errors, but not those of the start
+    # Made in the first task: the parent gets its errors, but not those of the start.
+    tools: list[tuple[Maker, Callable[[int], Scene]]]
 
-    def maker(self) -> Maker:
-        if not self.makers:
-            self.makers.append(self.make_maker())
-        return self.makers[0]
+    def maker_and_scenes(self) -> tuple[Maker, Callable[[int], Scene]]:
+        if not self.tools:
+            maker = self.make_maker()
+            self.tools.append((maker, possible_scenes(self.preset, partial(refusal, meshes=maker.meshes))))
+        return self.tools[0]
 
 
 _workers: list[_Worker] = []  # of this process, if it is a worker: the tasks of a pool share only globals
@@ -90,14 +96,15 @@ def _start_worker(root: Path, preset: Preset, make_maker: Callable[[], Maker], s
 
 
 def _version_in_worker() -> str:
-    return _workers[0].maker().version
+    return _workers[0].maker_and_scenes()[0].version
 
 
 def _write_in_worker(indices: range) -> list[SceneEntry]:
     worker = _workers[0]
+    maker, scene = worker.maker_and_scenes()
     made: list[SceneEntry] = []
     for index in indices:
         if worker.stop.is_set():
             break  # the command is ending and needs no more scenes
-        made.append(write_scene(worker.root, worker.preset, index, worker.maker()))
+        made.append(write_scene(worker.root, scene(index), maker))
     return made

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +41,8 @@ def losses(root: Path, preset: Preset, meshes: Mapping[str, str] = NO_MESHES) ->
         return None
     dataset = open_dataset(root)
     before, count = dataset.preset, dataset.preset.dataset.count
-    same = replace(preset, dataset=replace(preset.dataset, count=count)) == before
     known = all(meshes.get(shape) == sha256 for shape, sha256 in dataset.index.meshes.items())
-    if same and known and preset.dataset.count >= count:
+    if preset.continues(before) and known and preset.dataset.count >= count:
         return None
     refuse_files_of_others(_others(root))
     rendered = sum(dataset.render_folder(scene).is_dir() for scene in dataset.ids())

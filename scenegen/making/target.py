@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from errno import EBADF
 from pathlib import Path
 from types import MappingProxyType
@@ -152,10 +151,11 @@ def _check_extends(root: Path, preset: Preset, meshes: Mapping[str, str], *, rep
     count = index.preset.dataset.count
     if replacing:
         return max(count, preset.dataset.count)
-    if replace(preset, dataset=replace(preset.dataset, count=count)) != index.preset:
+    if not preset.continues(index.preset):
+        other = "preset, seed or number of frames" if preset.is_sequence else "preset or seed"
         raise DatasetError(
-            f"{root} already holds a dataset of another preset or seed: choose an empty folder, or replace "
-            "it with --replace (replace=True)"
+            f"{root} already holds a dataset of another {other}: choose an empty folder, or replace it with "
+            "--replace (replace=True)"
         )
     if preset.dataset.count < count:
         raise DatasetError(

@@ -1,4 +1,4 @@
-"""The pages of docs/tutorial, run word for word: each in an empty folder, block by block."""
+"""The pages of docs/tutorial, and a section of another, run word for word: each in an empty folder."""
 
 import os
 import re
@@ -10,6 +10,10 @@ import pytest
 from source_tree import ROOT
 
 PAGES = sorted((ROOT / "docs/tutorial").glob("*.md"))
+SEQUENCE = re.search(
+    r"^## A sequence\n(.*?)^## ", (ROOT / "docs/guide/datasets.md").read_text(), re.M | re.S
+)[1]
+TEXTS = {**{page.stem: page.read_text() for page in PAGES}, "a sequence": SEQUENCE}
 BLOCK = re.compile(r"^```(sh|python|toml|output)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 # Of a number that networks compute. No derivation: a training enlarges the rounding of another processor, and
@@ -45,10 +49,10 @@ def assert_output(shown, printed):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_page_does_what_it_says(page, tmp_path):
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_the_page_does_what_it_says(text, tmp_path):
     printed = ""
-    for language, block in BLOCK.findall(page.read_text()):
+    for language, block in BLOCK.findall(text):
         if language == "output":
             assert_output(block, printed)
         elif language == "toml":

@@ -124,6 +124,7 @@ def test_what_cannot_be_is_said_before_anything_is_made(tmp_path, words, sentenc
         ("[camera]\nrotation_deg = [90.0, 0.0, 230.0]", "camera"),
         ("[transient]\nmax_bounces = 4", "fresh scenes have 3 bounces, and the preset asks for 4"),
         ("[projector]\ndots = [1, 1]", "has a projector of its own"),
+        ('[dataset]\nframe_rate_hz = 10\n[[object]]\nshape = "cube"\nsize_m = 0.2', "is of a sequence"),
         ("[itof]\nfrequencies_hz = [60e6]", "put a lower frequency first"),
     ],
 )

@@ -12,7 +12,7 @@ from render.rendering import Renderer
 from render.settings import settings_for
 from scenegen import GROUND_TRUTH_FILE, MEASUREMENT_FILE, open_dataset, preset_from_dict
 from scenegen.geometry_check import refusal
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import sample_valid_scene
 
 TABLES = {
     "dataset": {"count": 6, "seed": 1},

@@ -12,7 +12,7 @@ from scenegen import load_preset, make_dataset, preset_from_dict, sample_scene
 from scenegen.corner_check import refuse_impossible_corner
 from scenegen.geometry_check import refusal as refusal_of
 from scenegen.making.meshes import with_meshes
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import sample_valid_scene
 
 # In the paper's corner, the middle wall is 3.3 m wide, in the plane y = 0; the relay wall is in x = 0.
 IMPOSSIBLE = {

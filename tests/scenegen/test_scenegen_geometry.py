@@ -136,7 +136,7 @@ def verdicts(maker, presets, scenes_each):
             scene = sample_scene(preset, *divmod(number, 4))
             reason = refusal(scene, maker.meshes)
             assert reason == ray_cast_refusal(maker, scene), scene
-            said[reason and reason.partition(" ")[2]] += 1
+            said[reason and reason.partition(") ")[2]] += 1
     return said
 
 

@@ -16,13 +16,14 @@ def ray_cast_refusal(maker, scene):
         middle = world_mesh(objects["middle_wall"])
         blocker = BVHTree.FromPolygons([tuple(v.co) for v in middle.vertices], [[0, 1, 3, 2]])
         for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
+            shape = part.shape.removeprefix("mesh:")
             vertices = world_mesh(objects[name]).vertices
             mesh = maker.meshes.get(part.shape)
             for index in range(len(vertices)) if mesh is None else mesh.outermost.tolist():
                 vertex = vertices[index]
                 if (vertex.co - point).dot(facing) < 1e-3:
-                    return f"{name} reaches through the relay wall"
+                    return f"{shape} ({name}) reaches through the relay wall"
                 ray = vertex.co - camera
                 if blocker.ray_cast(camera, ray.normalized(), ray.length)[0] is None:
-                    return f"{name} shows beside the middle wall"
+                    return f"{shape} ({name}) shows beside the middle wall"
     return None

@@ -12,7 +12,7 @@ from render.transport.scene_loading import scene_from_data
 from scenegen import preset_from_dict
 from scenegen.geometry_check import refusal
 from scenegen.mitsuba_description import seen_description
-from scenegen.sampling import SamplingError, sample_valid_scene
+from scenegen.possible_scenes import SamplingError, sample_valid_scene
 from scenegen.shapes import PRIMITIVES
 
 LEAST_GAP_M = 0.03  # between the relay wall and the middle wall, of random corners

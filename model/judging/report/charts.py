@@ -107,6 +107,28 @@ def distributions(report: Report) -> tuple[Chart, ...]:
     )
 
 
+def sequence_charts(report: Report) -> tuple[Chart, ...]:
+    """MAE and object IoU of the frames of a sequence against time; none for other datasets."""
+    if report.frame_rate_hz is None:
+        return ()
+    times_s = tuple(report.seconds(scene) for scene in report.scenes)
+    errors: list[tuple[str, Colour, list[float | None]]] = [
+        ("no object", "baseline", [scene.no_object.depth_mae_m for scene in report.scenes]),
+        ("expected by the network", "truth", [scene.expected_mae_m for scene in report.scenes]),
+        ("prediction", "prediction", [scene.prediction.depth_mae_m for scene in report.scenes]),
+    ]
+    overlaps = tuple(scene.prediction.object_iou for scene in report.scenes)
+    lines = tuple(
+        Curve(name, colour, times_s, tuple(None if m is None else 100 * m for m in values))
+        for name, colour, values in errors
+        if any(m is not None for m in values)
+    )
+    return (
+        Chart("mae_over_time", "time, s", "MAE over all pixels, cm", lines),
+        Chart("iou_over_time", "time, s", "object IoU", (Curve("", "prediction", times_s, overlaps),)),
+    )
+
+
 def roundness_chart(report: Report) -> Chart:
     """Roundness of the predicted mask against that of the true one, for the scenes that have both."""
     pairs = report.roundness_pairs

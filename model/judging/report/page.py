@@ -25,12 +25,14 @@ from model.judging.report.charts import (
     depth_error_charts,
     distributions,
     roundness_chart,
+    sequence_charts,
     training_curves,
     uncertainty_charts,
 )
 from model.judging.report.report_scenes import (
     cloud_colours,
     clouds_picture,
+    film_picture,
     pictures,
     point_clouds,
     scenes_picture,
@@ -60,6 +62,8 @@ def write_page(
 ) -> None:
     """Write ``index.html``, and its pictures and charts also as PNG into ``figures/``.
 
+    The film of a sequence is in `out` already (`sequence_film`).
+
     Parameters
     ----------
     shown : the scenes to show one by one, as pictures and as point clouds.
@@ -70,6 +74,7 @@ def write_page(
     figures = out / "figures"
     figures.mkdir()
     charts = {
+        "sequence": sequence_charts(report),
         "distributions": distributions(report),
         "roundness": (roundness_chart(report),),
         "uncertainty": (*uncertainty_charts(report), *depth_error_charts(report)),
@@ -94,6 +99,8 @@ def write_page(
         summary=summary_rows(report),
         paper=PAPER["source"],
         pictures=pictures(report, shown, figures),
+        film=film_picture(out) if report.frame_rate_hz else None,
+        frame_rate_hz=report.frame_rate_hz,
         scenes_picture=scenes_picture(figured, figures),
         clouds=point_clouds(shown),
         clouds_picture=clouds_picture(figured, figures),

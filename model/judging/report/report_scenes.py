@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from PIL import Image
 
 from itof.pictures.figures import plain, write_figure
 from itof.pictures.pointclouds import (
@@ -26,6 +27,7 @@ from itof.pictures.pointclouds import (
     distances_m,
 )
 from model.judging.report.scenes_figure import comparison_figure, describe, scenes_figure
+from model.judging.report.sequence_film import FILM_FILE
 from model.judging.results import Report
 from model.judging.showcase import Cloud, ShownScene, cloud_of, short_name
 
@@ -40,7 +42,7 @@ def pictures(report: Report, shown: Sequence[ShownScene], figures: Path) -> list
 
     Returns
     -------
-    One dictionary for each picture: `png` (base64), `width` and `height` in pixels, and `text` for readers
+    One dictionary for each picture: `src` (its data), `width` and `height` in pixels, and `text` for readers
     who do not see it.
     """
     parts = []
@@ -69,12 +71,21 @@ def clouds_picture(figured: Sequence[ShownScene], figures: Path) -> dict[str, An
     return _written(figures / "point_clouds.png", clouds_figure(figured), f"Point clouds of {scenes}")
 
 
+def film_picture(out: Path) -> dict[str, Any]:
+    """The film of a sequence, as in `pictures`; ``film.gif``."""
+    with Image.open(out / FILM_FILE) as film:
+        width, height = film.size
+    gif = base64.b64encode((out / FILM_FILE).read_bytes()).decode()
+    text = "Film of truth and prediction over time"
+    return {"src": f"data:image/gif;base64,{gif}", "width": width, "height": height, "text": text}
+
+
 def _written(file: Path, figure: Figure, text: str) -> dict[str, Any]:
     """Write a picture, and what the page needs of it."""
     write_figure(file, figure)
     width, height = (round(length * figure.dpi) for length in figure.get_size_inches())
     png = base64.b64encode(file.read_bytes()).decode()
-    return {"png": png, "width": width, "height": height, "text": text}
+    return {"src": f"data:image/png;base64,{png}", "width": width, "height": height, "text": text}
 
 
 def point_clouds(shown: Sequence[ShownScene]) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ from scenegen import load_preset, preset_from_dict
 from scenegen.geometry_check import refusal
 from scenegen.making.outlines import clipped
 from scenegen.pose import camera_axes
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import sample_valid_scene
 from scenegen.unit_meshes import UnitMesh, unit_mesh
 
 HZ = (20e6, 50e6, 60e6)
@@ -107,7 +107,7 @@ import drjit as dr
 from render.batch.light import BatchedLight
 from scenegen import load_preset
 from scenegen.geometry_check import refusal
-from scenegen.sampling import sample_valid_scene
+from scenegen.possible_scenes import sample_valid_scene
 
 light = BatchedLight((20e6, 50e6, 60e6), 40, 30, error=0.02, device="cpu")
 dr.set_flag(dr.JitFlag.KernelHistory, True)
