@@ -219,6 +219,10 @@ def refine(
 @click.argument("run", type=FOLDER)
 @click.argument("measurement", metavar="INPUT", type=FOLDER)
 @click.option("--out", required=True, type=FOLDER, help="Folder to write; an earlier prediction is replaced.")
+@click.option("--pictures/--no-pictures", default=True, show_default=True, help="Draw each image.")
+@click.option(
+    "--film", type=FOLDER, metavar="FILE", help="Write the pictures as a film, too: a .gif or .webp file."
+)
 @FOV
 @RESCALE
 @FORCE
@@ -235,8 +239,8 @@ def predict(
 
     INPUT is an itof.exr, or an .npz or .h5 file with `phasors` (H, W, F) or (N, H, W, F) complex,
     `frequencies_hz` (F) and, if there are any, `reference` (H, W, F): a capture of the empty corner, and
-    `horizontal_fov_deg`, one or N. Each image becomes an EXR (radial depth, mask, phasor), a PNG and a PLY
-    point cloud.
+    `horizontal_fov_deg`, one or N. Each image becomes an EXR (radial depth, mask, phasor), a PLY point cloud
+    and a picture.
     """
     import model
 
@@ -247,7 +251,8 @@ def predict(
 def _tell_prediction(done: FilePrediction, out: Path, as_json: bool) -> None:
     for warning in done.check.warnings:
         say(f"warning: {warning}")
-    where = f"depth maps, pictures and point clouds in {out}"
+    drawn = "depth maps, pictures and" if done.has_pictures else "depth maps and"
+    where = f"{drawn} point clouds in {out}"
     tell([*done.sentences, where], out.resolve() / "prediction.json", as_json)
 
 

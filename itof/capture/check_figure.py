@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from disk.frequency_text import megahertz
 from itof.arrays import Floats, Phasors
 from itof.capture.image_check import wall_distance_m
-from itof.pictures.figures import finish_panels, plain
-from itof.pictures.wall_figure import draw_residual
+from itof.pictures.figures import BACKGROUND, finish_panels, plain
 from itof.wall.finding import length
 from itof.wall.wall_fit import RobustFit
 
 _LONGEST = 110  # characters of a line of the title
 _MOST_SHOWN = 6  # frequencies
+_SHOWN_SHARE = 98.0  # percent of the pixels that the colours of phases span
 _ASPECT = (0.25, 4.0)  # height over width of a panel; longer images are drawn small in it
 
 
@@ -41,7 +45,7 @@ def check_figure(
     panels = figure.subplots(1, count + 2)
     lit = (phasor != 0).all(axis=-1)
     if fit is not None:
-        draw_residual(figure, panels[:count], fit)
+        _draw_residual(figure, panels[:count], fit)
     else:
         for place in range(count):
             shown = np.where(lit, np.angle(phasor[..., place]), np.nan)
@@ -65,6 +69,23 @@ def check_figure(
     part_of = "" if count == whole else f", {count} of {whole} frequencies"
     figure.suptitle(f"{plain(title)}{where}{part_of}\n{plain(_shortened(said))}", fontsize=11)
     return figure
+
+
+def _draw_residual(figure: Figure, panels: Sequence[Axes], fit: RobustFit) -> None:
+    """Draw the phases that a fit leaves at the first frequencies, a panel each, and a bar of colours."""
+    lit = fit.weight > 0
+    left_mrad = 1e3 * fit.residual_rad
+    limit = max(float(np.percentile(np.abs(left_mrad[lit]), _SHOWN_SHARE)), 1e-3)
+    for place, (axes, frequency_hz) in enumerate(zip(panels, fit.wall.frequencies_hz, strict=False)):
+        shown = np.where(lit, left_mrad[..., place], np.nan)
+        image = axes.imshow(shown, vmin=-limit, vmax=limit, cmap="RdBu_r", interpolation="nearest")
+        rms_mrad = 1e3 * fit.residual_rms_rad[place]
+        axes.set_title(f"{megahertz(frequency_hz)}, rms {rms_mrad:.2g} mrad", fontsize=11)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_facecolor(BACKGROUND)
+    bar = figure.colorbar(image, ax=list(panels), location="bottom", aspect=40, pad=0.03, extend="both")
+    bar.set_label("residual phase, mrad")
 
 
 def _shortened(text: str) -> str:

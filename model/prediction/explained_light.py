@@ -122,6 +122,16 @@ def explained_light(
     return ExplainedLight(float(np.sqrt(energy / count)), *known, min(share, 1.0))
 
 
+def hidden_light(inputs: InputSpec, phasor: ArrayLike, wall: ExpectedWall) -> Floats:
+    """(H, W) light of an image (H, W, F) that is not the wall's, relative to the mean direct return.
+
+    It is the root mean square of the residual channels; the other parameters as in `explained_light`.
+    """
+    residual, _ = _light(inputs, np.asarray(phasor, dtype=np.complex128), wall)
+    rms: Floats = np.sqrt((residual**2).mean(axis=0))
+    return rms
+
+
 def _light(inputs: InputSpec, z: Phasors, wall: ExpectedWall) -> tuple[Floats, Phasors]:
     """Residual channels (C, H, W) relative to the mean direct return, and the direct return (H, W, F)."""
     reference = np.asarray(inputs.parted(inputs.reference_of_image(z[None], wall))[0])

@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from disk.contract import STRICT
 from disk.quantities import Vector
 from itof import DepthMap
+from itof.pictures.plan import Room
 from itof.wall.expected_wall import ExpectedWall
 
 
@@ -71,11 +72,12 @@ class Explanation:
 
 @dataclass(frozen=True)
 class RefinedImage:
-    """Depth map (H, W), the explanation behind it if there is one, and a picture of its light."""
+    """Depth map (H, W), the explanation behind it if there is one, a picture of its light, and the room."""
 
     depth_map: DepthMap
-    explanation: Explanation | None
-    picture: Figure | None
+    explanation: Explanation | None = None
+    picture: Figure | None = None
+    room: Room | None = None
 
 
 class Refiner(Protocol):

@@ -97,6 +97,11 @@ class FilePrediction:
     wall: CapturedPlane | None = None
 
     @property
+    def has_pictures(self) -> bool:
+        """Whether the images were drawn."""
+        return all(f"{image.name}.png" in image.files for image in self.images)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The outcome as text: the reference, the wall, and what each image shows."""
         wall = () if self.wall is None else (self.wall.sentence,)

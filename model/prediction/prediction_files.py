@@ -17,12 +17,11 @@ from disk.plain_file import MOST_LIST_BYTES, read_plain
 from itof import DepthMap
 from itof.arrays import Phasors
 from itof.files.measurement_files import Measurement, MeasurementError
-from itof.pictures.figures import prediction_figure, write_figure
+from itof.pictures.figures import write_figure
+from itof.pictures.film import FILM_ENDINGS
 from itof.pictures.pointclouds import object_points, write_point_cloud
-from itof.pictures.wall_figure import wall_figure
+from itof.pictures.prediction_picture import View
 from itof.wall.check_result import MeasurementCheck, WallSummary, joined
-from itof.wall.wall_fit import RobustFit
-from itof.wall.wall_search import locate_wall
 from model.prediction.explained_light import ExplainedLight
 from model.prediction.explanation import RefinedImage, Refiner
 from model.prediction.fields_of_view import predictors_of
@@ -34,6 +33,7 @@ from model.prediction.measurement_check import (
 )
 from model.prediction.predicted_image import FilePrediction, PredictedImage
 from model.prediction.predictor import BATCH, InputError, Predictor, load
+from model.prediction.views import draw_views, view_of
 from model.run_folder.networks import OTHER_CORNER, what_to_do
 from model.run_folder.shipped import run_folder
 from model.settings.run import DeviceName
@@ -60,14 +60,15 @@ def predict_file(
     force: bool = False,
     device: DeviceName = "auto",
     progress: bool = True,
+    pictures: bool = True,
+    film: PathLike | None = None,
     refiner: Refiner | None = None,
 ) -> FilePrediction:
     """Predict every image of a measurement file and write the folder `out`.
 
     ===================  =====================================================================================
     ``000000.exr``       depth map of image 0: ``depth.R``, ``mask.M`` and phasor, as in ``mirrored.exr``
-    ``000000.png``       picture of the depth map
-    ``000000_wall.png``  phases that the fit of the relay wall leaves; missing if no wall is found
+    ``000000.png``       hidden light, probability, depth, expected error, and the room from above
     ``000000.ply``       point cloud; missing if no pixel shows an object
     ``prediction.json``  run, measurement, findings about it, and files of the prediction
     ===================  =====================================================================================
@@ -82,6 +83,9 @@ def predict_file(
     horizontal_fov_deg : full field of view of the camera, 1 to 170 degrees. None takes that of the file, of
         its import or of the dataset that rendered it, and without any that of the training.
     force : predict also from a measurement that is not that of the run's relay wall.
+    pictures : whether to draw the images.
+    film : a ``.gif`` or ``.webp`` file to write: the pictures of all images in their order, which then have
+        the same colours.
     refiner : finds the solid behind each depth map (`model.refine`).
 
     Raises
@@ -91,10 +95,11 @@ def predict_file(
         training had other fields of view. Not with `force`.
     MeasurementError : the file cannot be read, `horizontal_fov_deg` is no field of view, or the run was
         trained for another image size or for frequencies that the file lacks.
-    PredictionError : `out` contains anything but an earlier prediction.
+    PredictionError : `out` contains anything but an earlier prediction, or `film` cannot be a film.
     RunError, DeviceError : the run or the device cannot be used.
     """
     run, measurement_file, out = run_folder(run), Path(measurement_file), Path(out).resolve()
+    film = None if film is None else _film_place(Path(film), out)
     _refuse_other_contents(out)
     predictor = load(run, device)
     measured = fitting_measurement(predictor, measurement_file, run, horizontal_fov_deg)
@@ -104,7 +109,8 @@ def predict_file(
     seeing = predictors_of(predictor, measured)
     wall = None if measured.reference is None else seeing(0).found_wall(measured.reference)
     with whole_folder(out) as folder:
-        images = _predict_all(seeing, measured, check, chosen, folder, progress, refiner)
+        drawing = pictures or film is not None
+        images, views = _predict_all(seeing, measured, check, chosen, folder, progress, refiner, drawing)
         doubts = [
             (finding, image.name)
             for image in images
@@ -114,6 +120,10 @@ def predict_file(
         check = replace(check, findings=(*check.findings, *joined(doubts)))
         images = tuple(image.after(check) for image in images)
         _refuse_implausible(check, measured, run, force)
+        if film is not None and out in film.parents:
+            film = folder / film.relative_to(out)  # one of the files of the prediction
+        if drawing:
+            images = draw_views(folder if pictures else None, film, images, views, progress)
         record: dict[str, Any] = {
             "schema_version": PREDICTION_SCHEMA,
             "run": str(run.resolve()),
@@ -150,9 +160,10 @@ def _predict_all(
     folder: Path,
     progress: bool,
     refiner: Refiner | None,
-) -> tuple[PredictedImage, ...]:
-    """Predict the images batch by batch, each with its field of view, and write their files."""
-    images, views_deg = [], measured.fields_of_view_deg
+    drawing: bool,
+) -> tuple[tuple[PredictedImage, ...], list[View]]:
+    """Predict the images batch by batch, each with its field of view, and write its depth map and points."""
+    images, views, views_deg = [], [], measured.fields_of_view_deg
     attributes = {
         "generator": f"night-eval predict {version('night-nlos')}",
         "measurement": measured.path.name,
@@ -180,12 +191,12 @@ def _predict_all(
                 if found.picture is not None:
                     image = replace(image, files=(*image.files, f"{name}_light.png"))
                     write_figure(folder / image.files[-1], found.picture)
-                if wall is not None:
-                    fit = locate_wall(batch[index], predictor.wall, direct=measured.reference)
-                    image = _with_wall(folder, image, fit, predictor, about)
                 images.append(image)
+                if drawing:
+                    of = (batch[index], measured.reference, wall, measured.path.name)
+                    views.append(view_of(predictor, found, *of))
                 bar.update()
-    return tuple(images)
+    return tuple(images), views
 
 
 def _refined(
@@ -200,7 +211,7 @@ def _refined(
     expected_m = predictor.expected_mae_m(prediction)
     wall = None if refiner is None else predictor.wall_of(measured.reference)
     if refiner is None or wall is None:
-        return RefinedImage(prediction, None, None), expected_m
+        return RefinedImage(prediction), expected_m
     fov_deg, title = predictor.config.geometry.horizontal_fov_deg, f"{measured.path.name}, image {name}"
     found = refiner(phasor, prediction, expected_m, wall, fov_deg, title)
     if found.explanation is not None and found.explanation.accepted:
@@ -217,36 +228,28 @@ def _write(
     predictor: Predictor,
     attributes: dict[str, str],
 ) -> PredictedImage:
-    """Write depth map, picture and point cloud of one (H, W) prediction."""
-    files, fov_deg = [f"{name}.exr", f"{name}.png"], predictor.config.geometry.horizontal_fov_deg
+    """Write depth map and point cloud of one (H, W) prediction."""
+    files, fov_deg = [f"{name}.exr"], predictor.config.geometry.horizontal_fov_deg
     one.write(folder / files[0], attributes)
-    title, words = f"{attributes['measurement']}, image {name}", "" if light is None else light.words
-    write_figure(folder / files[1], prediction_figure(title, one, words))
     points_m = object_points(one.radial_depth_m, one.mask, fov_deg)
     median_m = error_m = None
     if len(points_m):
         if one.depth_error_m is not None:
             error_m = float(one.depth_error_m[one.mask].mean(dtype=np.float64))
         files.append(f"{name}.ply")
-        write_point_cloud(folder / files[2], points_m)
+        write_point_cloud(folder / files[1], points_m)
         median_m = float(np.median(one.radial_depth_m[one.mask]))
     return PredictedImage(name, len(points_m), median_m, tuple(files), wall, fov_deg, None, error_m, light)
 
 
-def _with_wall(
-    folder: Path,
-    image: PredictedImage,
-    fit: RobustFit | None,
-    predictor: Predictor,
-    attributes: dict[str, str],
-) -> PredictedImage:
-    """Write the picture of the wall that was found, and add it to the files of the image."""
-    if fit is None:
-        return image
-    file, title = f"{image.name}_wall.png", f"{attributes['measurement']}, image {image.name}"
-    figure = wall_figure(title, fit)
-    write_figure(folder / file, figure)
-    return replace(image, files=(*image.files, file))
+def _film_place(film: Path, out: Path) -> Path:
+    """Where to write a film; refuse what cannot be one."""
+    if film.suffix.lower() not in FILM_ENDINGS:
+        raise PredictionError(f"a film is a {' or '.join(FILM_ENDINGS)} file: cannot write {film}")
+    place = film.parent.resolve() / film.name
+    if place == out or place.is_dir():
+        raise PredictionError(f"{film} is a folder: give the film a name of its own")
+    return place
 
 
 def _refuse_other_contents(out: Path) -> None:

@@ -23,7 +23,7 @@ from model.network.mask_and_depth import MaskAndDepth
 from model.network.readout import Readout
 from model.network.unet import UNet, average_with_flip
 from model.prediction.expected_error import expected_mae_m
-from model.prediction.explained_light import ExplainedLight, explained_light
+from model.prediction.explained_light import ExplainedLight, explained_light, hidden_light
 from model.run_folder.run_config import RunConfig, RunError, read_config
 from model.run_folder.shipped import run_folder
 from model.run_folder.weights import trained_network
@@ -171,6 +171,16 @@ class Predictor:
             None if wall is None else explained_light(self.config.inputs, image, wall, predictions[place])
             for place, (image, wall) in enumerate(zip(images, walls, strict=True))
         )
+
+    def hidden_light(
+        self, phasor: ArrayLike, reference: ArrayLike | None = None
+    ) -> NDArray[np.float64] | None:
+        """(H, W) light of an image (H, W, F) that is not the wall's, relative to the mean direct return.
+
+        None for a network without residual channels. The errors are those of `predict`.
+        """
+        wall = self.wall_of(reference)
+        return None if wall is None else hidden_light(self.config.inputs, phasor, wall)
 
     def wall_of(self, reference: ArrayLike | None) -> ExpectedWall | None:
         """The wall with the reference to use; None if the channels need none, so that it is not computed."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from disk import PathLike
 from itof import DepthMap
+from itof.pictures.plan import Room
 from itof.wall.expected_wall import ExpectedWall
 from model.device import one_thread
 from model.prediction.explanation import RefinedImage
@@ -27,6 +28,8 @@ from model.refinement.room import corner_of, refuse_unseen_wall
 from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS, Unknown
 from model.settings.run import DeviceName
 from scenegen import Preset
+from scenegen.corner_geometry import corners_of
+from scenegen.pose import camera_axes
 
 
 def refine(
@@ -108,12 +111,17 @@ class _FileRefiner:
         with one_thread():
             arguments = (phasor, prediction, expected_m, wall, corner, self.light, self.family)
             found = refined(*arguments, knows_camera=False, seed=seed)
+        room = None
+        if self.room is not None:
+            camera = placed.camera
+            middle_m = corners_of(placed.middle_wall) - camera.location_m
+            room = Room(camera_axes(camera), np.asarray(wall.plane_per_m), middle_m)
         if found is None:
-            return RefinedImage(prediction, None, None)
+            return RefinedImage(prediction, room=room)
         outcome = explained(found, prediction, expected_m, self.largest_misfit)
         fit = found.fit
         (misfit,) = fit.comparison.misfits([fit.candidate])
         picture = light_figure(
             f"{title}\n{outcome.words}", fit.comparison.observed, misfit, wall.frequencies_hz
         )
-        return RefinedImage(found.depth_map if outcome.accepted else prediction, outcome, picture)
+        return RefinedImage(found.depth_map if outcome.accepted else prediction, outcome, picture, room)

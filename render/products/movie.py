@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from disk import PathLike
 from disk.extras import need
 from itof import TransientLayout, TransientReader
+from itof.pictures.film import encode_film
 from render.products.conversion import ExportError, exported_file
-from render.products.movie_encoding import encode_gif, encode_mp4
+from render.products.movie_encoding import encode_mp4
 from render.products.movie_pictures import DECADES, Frames, Span, draw_pictures
 
 _MOST_BYTES = 256 * 2**20  # of all frames as float32
@@ -91,7 +92,7 @@ def write_movie(
     span = _lit_span(peak, transient.layout, chosen)
     frames = _binned(transient, span)
     pictures = draw_pictures(frames, total, span, transient.layout, chosen.min_width)
-    encode = encode_gif if out.suffix.lower() == ".gif" else encode_mp4
+    encode = encode_film if out.suffix.lower() == ".gif" else encode_mp4
     with exported_file(out) as partial:
         try:
             encode(partial, pictures, chosen.frames_per_second)

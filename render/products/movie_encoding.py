@@ -1,4 +1,4 @@
-"""Encodes the pictures of a movie as an MP4 or a GIF file."""
+"""Encodes the pictures of a movie as an MP4 file."""
 
 from __future__ import annotations
 
@@ -61,16 +61,3 @@ def encode_mp4(path: Path, pictures: Iterator[Picture], frames_per_second: int) 
         raise ExportError(
             f"ffmpeg could not encode the movie: {reason or f'it ended with code {ffmpeg.returncode}'}"
         )
-
-
-def encode_gif(path: Path, pictures: Iterator[Picture], frames_per_second: int) -> None:
-    """Write an animated GIF that repeats without end."""
-    first = next(pictures)
-    first.save(
-        path,
-        format="GIF",
-        save_all=True,
-        append_images=pictures,
-        duration=round(1000 / frames_per_second),
-        loop=0,
-    )

@@ -35,7 +35,7 @@ WINGS = {
     "itof.files": {"itof", "itof.exr"},
     "itof.sensor": {"itof"},
     "itof.wall": {"itof"},
-    "itof.pictures": {"itof", "itof.wall"},
+    "itof.pictures": {"itof"},
     "itof.capture": {"itof", "itof.exr", "itof.files", "itof.wall", "itof.pictures"},
     "render": set(),
     "render.options": set(),

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from itof import DepthMap, ImageFileError, pixel_rays, read_image, write_image
-from itof.pictures.figures import prediction_figure, write_figure
 
 HEIGHT, WIDTH = 5, 8  # not square: a transpose would show
 SPEED_OF_LIGHT = 299_792_458.0
@@ -106,8 +105,3 @@ def test_a_mask_that_is_not_0_or_1_and_a_negative_depth_are_refused(channels, tm
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(ImageFileError, match=r"nowhere\.exr"):
         DepthMap.read(tmp_path / "nowhere.exr")
-
-
-def test_a_name_with_letters_that_the_font_lacks_is_drawn_without_a_warning(truth, tmp_path):
-    write_figure(tmp_path / "x.png", prediction_figure("測定 ק क.exr", truth))
-    assert (tmp_path / "x.png").stat().st_size > 0

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from itof import DepthMap
 from itof.metrics import ImageMetrics
-from itof.pictures.figures import PANELS, depth_range, finish_panels, plain
+from itof.pictures.figures import depth_range, finish_panels, plain
 from model.judging.showcase import ShownScene, short_name
 
+PANELS = ("Re", "Im", "radial depth")
 # Inches: width of a panel; margins left (names of scenes), right (numbers of colour bars), top, bottom.
 PANEL, LEFT, RIGHT, TOP, BOTTOM = 1.9, 1.15, 0.6, 0.5, 0.65
 BETWEEN, BESIDE = 0.08, 0.06  # rows; the columns and gaps of the grid

@@ -2,12 +2,14 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 from measurements import FREQUENCIES_HZ, assert_same, write_h5, write_npz, written
 from night_commands import night_here
+from PIL import Image
 from training_runs import before_each_network, blind, settings
 
 from itof import phase_per_metre, phasor_channels, pixel_rays, read_image, write_image
@@ -59,7 +61,7 @@ def test_where_no_pixel_shows_an_object_there_is_no_point_cloud(finished_copy, e
     told, light = image.sentence.split("; ")
     assert told == "image 000000: no pixel shows an object, so it has no point cloud"
     assert light.startswith("0 % of the hidden light is explained, which is ")
-    assert image.files == ("000000.exr", "000000.png", "000000_wall.png")
+    assert image.files == ("000000.exr", "000000.png")
     assert not list((tmp_path / "out").glob("*.ply"))
 
 
@@ -141,7 +143,7 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
 ):
     predict(seeing_run, write_npz(tmp_path / "two.npz", phasors=phasors[:2]), tmp_path / "out")
     predict(seeing_run, exr, tmp_path / "out")
-    assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000000", "000000_wall", "prediction"}
+    assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000000", "prediction"}
     figure = (tmp_path / "out" / "000000.png").read_bytes()
     (tmp_path / "out" / "000000.png").write_bytes(figure + b"mine")
     with pytest.raises(PredictionError, match=r"an earlier prediction: 000000\.png \(changed\); move"):
@@ -161,6 +163,40 @@ def test_a_prediction_replaces_nothing_but_an_earlier_prediction(
         assert contents(out) == before
     with pytest.raises(PredictionError, match="is a file"):
         predict(seeing_run, exr, tmp_path / "file")
+
+
+def test_pictures_are_optional_and_change_no_number(seeing_run, exr, tmp_path):
+    (drawn,) = predict(seeing_run, exr, tmp_path / "drawn").images
+    (bare,) = predict(seeing_run, exr, tmp_path / "bare", pictures=False).images
+    assert bare == replace(drawn, files=tuple(name for name in drawn.files if name != "000000.png"))
+    assert not list((tmp_path / "bare").glob("*.png"))
+    assert_same(tmp_path / "bare", tmp_path / "drawn")
+
+
+@pytest.mark.parametrize("ending", ["gif", "webp"])
+def test_a_film_has_a_frame_for_each_image_and_in_the_folder_is_part_of_the_prediction(
+    seeing_run, exr, phasors, tmp_path, ending
+):
+    two, out = write_npz(tmp_path / "two.npz", phasors=phasors[:2]), tmp_path / "out"
+    predict(seeing_run, two, out, film=out / f"film.{ending}", pictures=False)
+    predict(seeing_run, two, out, film=tmp_path / f"film.{ending}")
+    assert {file.suffix for file in out.iterdir()} == {".exr", ".ply", ".png", ".json"}
+    with Image.open(tmp_path / f"film.{ending}") as film:
+        assert film.n_frames == 2
+        for place in range(2):
+            film.seek(place)
+            with Image.open(out / f"{place:06d}.png") as picture:  # with the colours of the film
+                difference = np.asarray(film.convert("RGB"), float) - np.asarray(picture)
+        assert np.abs(difference).mean() < 5  # of 255: a GIF has 256 colours, a WebP loses details
+
+
+@pytest.mark.parametrize(
+    ("film", "words"), [("film.mp4", "a film is a .gif or .webp file"), ("there.gif", "is a folder")]
+)
+def test_what_cannot_be_a_film_is_refused_before_any_work(seeing_run, exr, tmp_path, film, words):
+    (tmp_path / "there.gif").mkdir()
+    with pytest.raises(PredictionError, match=words):
+        predict(tmp_path / "no run", exr, tmp_path / "out", film=tmp_path / film)
 
 
 def test_an_interrupted_prediction_leaves_the_earlier_one_as_it_was(

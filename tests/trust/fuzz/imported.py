@@ -9,14 +9,12 @@ import gc
 import sys
 import weakref
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import array_api_compat.numpy
 import array_api_compat.torch
 import dask_jobqueue
 import h5py
 import judgement
-import numpy as np
 import PIL.Image
 import reading
 import torch._dynamo
@@ -38,14 +36,11 @@ import render.products.preview
 import render.products.verification
 import scenegen.making.generation
 import scenegen.making.meshes
-from itof import DepthMap
-from itof.pictures.figures import prediction_figure, write_figure
+from itof.pictures.panels import font
 
 torch.set_num_threads(1)
 PIL.Image.init()
-with TemporaryDirectory() as folder:  # the first picture costs most: fonts, and what text looks like
-    nothing = DepthMap(np.zeros((2, 2)), np.zeros((2, 2), bool), np.zeros((2, 2), complex), 20e6)
-    write_figure(Path(folder) / "nothing.png", prediction_figure("nothing", nothing))
+font().getlength("the first text costs most")
 for finalizer in list(weakref.finalize._registry):  # of PyTorch's operators: 30 ms at each child's exit
     finalizer.atexit = False
 gc.collect()
