@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Bounds = tuple[float, float, float, float]  # least x and y, largest x and y, metres
 
-_RELAY, _MIDDLE, _SIGHT, _OBJECT = (68, 119, 170), (34, 34, 34), (34, 136, 51), (33, 145, 140)
+_RELAY, MIDDLE, _SIGHT, _OBJECT = (68, 119, 170), (34, 34, 34), (34, 136, 51), (33, 145, 140)
 _FINE: Final = 2  # the plan is drawn so many times larger, so that its lines are smooth
 _MOST_POINTS: Final = 3000
 _FARTHEST: Final = 4.0  # distances of the wall, within which the plan shows things
@@ -120,7 +120,7 @@ def draw_plan(
     pen.line([to(place) for place in plan.wall], _RELAY, 5 * _FINE)
     if plan.middle_wall is not None:
         around = [to(place) for place in (*plan.middle_wall, plan.middle_wall[0])]
-        pen.line(around, _MIDDLE, 4 * _FINE)
+        pen.line(around, MIDDLE, 4 * _FINE)
     half = 1.5 * _FINE
     for place, colour in zip(plan.points, depth.of(plan.depth_m).tolist(), strict=True):
         x, y = to(place)
@@ -128,7 +128,7 @@ def draw_plan(
     x, y = to(np.zeros(2))
     pen.ellipse((x - 5 * _FINE, y - 5 * _FINE, x + 5 * _FINE, y + 5 * _FINE), _SIGHT)
     named = [("camera", _SIGHT), ("relay wall", _RELAY), ("object", _OBJECT)]
-    named += [] if plan.middle_wall is None else [("middle wall", _MIDDLE)]
+    named += [] if plan.middle_wall is None else [("middle wall", MIDDLE)]
     page.paste(picture.reduce(_FINE), (corner[0], corner[1] + HEAD))
     words, x = ImageDraw.Draw(page), corner[0]
     words.text(corner, "from above, m", INK, font())

@@ -10,6 +10,7 @@ from render_runs import render_scenes
 
 import model
 from itof import DepthMap, read_image
+from itof.pictures.plan import MIDDLE
 from itof.wall.expected_wall import ExpectedWall
 from model.refinement.light.corner_light import CornerLight
 from model.refinement.room import corner_of
@@ -119,6 +120,8 @@ def test_the_picture_shows_what_the_solid_leaves(refined):
     assert "000000_light.png" in record["images"][0]["files"]
     with Image.open(refined[0] / "000000_light.png") as picture:
         assert min(picture.size) > 500
+    with Image.open(refined[0] / "000000.png") as picture:
+        assert sum((np.asarray(picture) == MIDDLE).all(axis=-1).flat) > 200  # the room's middle wall
 
 
 def test_a_refinement_is_replaced_as_a_prediction_is(measured, sphere, tmp_path):
