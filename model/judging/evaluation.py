@@ -55,6 +55,7 @@ def evaluate(
     ``metrics.csv``     one line for each scene
     ``table.txt``       summary as text
     ``summary.md``      summary as Markdown
+    ``tables.tex``      all tables as LaTeX
     ``figures/``        pictures of scenes: ``best.png``, ``median.png``, ``worst.png``, and several in
                         ``scenes.png`` and ``point_clouds.png``; charts of the page
     ``film.gif``        truth beside prediction over time; of a sequence only

@@ -1,4 +1,4 @@
-"""The report's files for programs and for documents: JSON, CSV, text and Markdown."""
+"""The report's files for programs and for documents: JSON, CSV, text, Markdown and LaTeX."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from disk.own_files import hashes_of
 from disk.plain_file import MOST_LIST_BYTES, read_plain
 from itof.metrics import Statistics
 from model.judging.calibration import Calibration
-from model.judging.groups import Group
+from model.judging.groups import Group, GroupTable
+from model.judging.latex_tables import caption_of, latex_table
 from model.judging.results import PAPER, Report, scene_numbers
 
 REPORT_SCHEMA = 1
@@ -42,7 +43,7 @@ def files_of_report(folder: Path) -> dict[str, str | None]:
 
 
 def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
-    """Write ``metrics.csv``, ``table.txt`` and ``summary.md``, and at last ``metrics.json``.
+    """Write ``metrics.csv``, ``table.txt``, ``summary.md`` and ``tables.tex``, and at last ``metrics.json``.
 
     ``metrics.json`` lists all files in the folder `out` with their hashes, by which the next evaluation knows
     that the folder holds nothing else.
@@ -81,6 +82,7 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
     }
     write_text(out / "table.txt", report.table + "\n")
     write_text(out / "summary.md", summary_markdown(report))
+    write_text(out / "tables.tex", tables_latex(report))
     with (
         whole_file(out / "metrics.csv") as partial,
         partial.open("w", encoding="utf-8", newline="", errors="backslashreplace") as stream,
@@ -100,9 +102,21 @@ def summary_markdown(report: Report) -> str:
     lines += _markdown(SUMMARY_HEAD, summary_rows(report), words=2)
     for table in report.groups:
         if table.key in IN_SUMMARY:
-            rows = [(group.name, *group_texts(group)) for group in table.groups]
-            lines += ["", *_markdown((table.title, *GROUP_HEAD), rows, words=1)]
+            lines += ["", *_markdown((table.title, *GROUP_HEAD), _group_rows(table), words=1)]
     return "\n".join(lines) + "\n"
+
+
+def tables_latex(report: Report) -> str:
+    """The summary and all tables of groups, to be included in a paper."""
+    tables = [latex_table(caption_of(report, "Accuracy"), SUMMARY_HEAD, summary_rows(report), words=2)]
+    for table in report.groups:
+        caption, head = caption_of(report, f"Accuracy by {table.title}"), (table.title, *GROUP_HEAD)
+        tables.append(latex_table(caption, head, _group_rows(table), words=1))
+    return "\n\n".join((r"% needs \usepackage{booktabs}", *tables)) + "\n"
+
+
+def _group_rows(table: GroupTable) -> list[tuple[str, ...]]:
+    return [(group.name, *group_texts(group)) for group in table.groups]
 
 
 def summary_rows(report: Report) -> list[tuple[str, ...]]:
