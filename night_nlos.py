@@ -1,4 +1,8 @@
-"""NIGHT: its version, and the four programs that pip installs.
+"""NIGHT: its version, the four programs that pip installs, and in Python the names that most people need.
+
+``import night_nlos as night`` leads through the chain: presets and scenes (`load_preset`, `make_dataset`),
+renders (`render_dataset`), training (`train`), use (`load`, `predict_file`, `refine`) and judgement
+(`evaluate`). The other names are in `scenegen`, `itof`, `render` and `model`.
 
 The other top-level modules (`cli`, `model`, `render`, ...) have common names. A module or folder of the same
 name that comes first on Python's module search path, for example through PYTHONPATH, would be imported in
@@ -7,15 +11,42 @@ their place. Each program therefore first looks where all of them would come fro
 
 import signal
 import sys
+from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-__all__ = ["__version__", "night_eval", "night_gen", "night_render", "night_train"]
+_OFFERED = {
+    "scenegen": ("load_preset", "preset_from_dict", "make_dataset", "open_dataset"),
+    "itof": ("DepthMap", "TransientReader", "check_capture", "import_capture", "read_image"),
+    "render": ("Renderer", "render_dataset", "settings_for"),
+    "model": (
+        *("networks", "settings_from_dict", "train", "training_preset"),
+        *("evaluate", "export_onnx", "load", "predict_file", "refine", "refine_split"),
+    ),
+}
+_HOME = {name: module for module, names in _OFFERED.items() for name in names}
+__all__ = ["__version__", "night_eval", "night_gen", "night_render", "night_train", *_HOME]
 
 __version__ = version("night-nlos")
 _MODULES = ("cli", "commandline", "disk", "processes", "scenegen", "itof", "render", "model")
 _WRONG_INSTALLATION = 2  # exit code, as for everything that the user can change
+
+
+def __getattr__(name: str) -> Any:
+    """A name of `scenegen`, `itof`, `render` or `model`, which are imported at its first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    sentence = foreign_module()
+    if sentence is not None:
+        raise ImportError(sentence)
+    globals()[name] = found = getattr(import_module(_HOME[name]), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
 
 
 def foreign_module() -> str | None:

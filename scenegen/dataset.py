@@ -97,6 +97,9 @@ class Dataset:
     root: Path
     index: DatasetIndex
 
+    def __repr__(self) -> str:
+        return f"Dataset of {self.sentence()}"
+
     @property
     def preset(self) -> Preset:
         """All settings of the dataset, as resolved when it was made."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from disk import PathLike
+from disk.told import Told
 from itof.capture.capture import ImageShape
 from itof.capture.check_picture import refuse_other_picture, write_picture
 from itof.capture.facts import CaptureFacts, milliradians
@@ -24,7 +25,7 @@ _REFERENCE = "the reference: "
 
 
 @dataclass(frozen=True)
-class CaptureCheck:
+class CaptureCheck(Told):
     """Outcome of `check_capture`.
 
     Attributes

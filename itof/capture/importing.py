@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from disk import PathLike, inside, remove_leftovers, sha256_of, whole_file, whole_files
+from disk.told import Told
 from itof.capture.capture import Capture, ImageShape, read_capture
 from itof.capture.capture_files import refuse_repeated
 from itof.capture.facts import milliradians
@@ -26,7 +27,7 @@ from itof.wall.image_defects import depth_defects, image_defects
 
 
 @dataclass(frozen=True)
-class ImportedCapture:
+class ImportedCapture(Told):
     """Outcome of `import_capture`.
 
     Attributes

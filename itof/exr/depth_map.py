@@ -64,6 +64,14 @@ class DepthMap:
         depth_m, mask, phasor = (values[index] for values in (self.radial_depth_m, self.mask, self.phasor))
         return DepthMap(depth_m, mask, phasor, self.frequency_hz, error_m)
 
+    def _repr_png_(self) -> bytes | None:
+        """Picture of one depth map (H, W), for a notebook."""
+        from itof.pictures.panels import panel_png
+
+        if self.mask.ndim != 2:
+            return None
+        return panel_png("depth, m", np.where(self.mask, self.radial_depth_m, np.nan), "viridis")
+
     def channels(self) -> dict[str, NDArray[np.float32]]:
         """EXR channels of one depth map (H, W): ``depth.R``, ``mask.M``, ``itof.<f>MHz.Re`` and ``.Im``, and
         ``depth_error.R`` where an error is expected.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
@@ -20,6 +21,9 @@ WHITE, INK, PALE, BACKGROUND = (255, 255, 255), (30, 30, 30), (225, 225, 225), (
 TEXT: Final = 14  # height of letters, pixels
 BESIDE_TEXT: Final = 5
 _BAR: Final = 12
+_WIDTH: Final = 330  # of a panel, pixels, about
+_LARGEST: Final = 660
+_ASPECT: Final = (0.4, 1.6)  # height over width of a panel; longer images are squeezed
 HEAD, FOOT = TEXT + BESIDE_TEXT, _BAR + TEXT + 3 * BESIDE_TEXT  # around an image: its title; its colours
 
 
@@ -103,6 +107,24 @@ def draw_panel(
     middle = (colours.low + colours.high) / 2
     for place, value, anchor in ((0, colours.low, "la"), (0.5, middle, "ma"), (1, colours.high, "ra")):
         pen.text((x + place * width, y), f"{value:.{digits}f}", INK, font(), anchor=anchor)
+
+
+def panel_size(rows: int, columns: int) -> tuple[int, int]:
+    """Width and height of the panel of an image, pixels: a whole number for each column if it is small."""
+    width = min(columns * max(1, round(_WIDTH / columns)), _LARGEST)
+    return width, round(width * float(np.clip(rows / columns, *_ASPECT)))
+
+
+def panel_png(title: str, values: Reals, colour_map: str) -> bytes:
+    """One panel as a PNG file: (H, W) numbers, NaN where there are none."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    size = panel_size(*values.shape)
+    page = Image.new("RGB", (size[0] + 2 * BESIDE_TEXT, HEAD + size[1] + FOOT), WHITE)
+    draw_panel(page, (BESIDE_TEXT, 0), size, title, values, Colours(colour_map, low, high))
+    content = BytesIO()
+    page.save(content, "PNG")
+    return content.getvalue()
 
 
 def edges(mask: Bools) -> Bools:

@@ -15,15 +15,12 @@ from PIL import Image, ImageDraw
 from itof import DepthMap
 from itof.arrays import Reals
 from itof.pictures.figures import depth_range
-from itof.pictures.panels import FOOT, HEAD, INK, TEXT, WHITE, Colours, draw_panel, font, wrapped
+from itof.pictures.panels import FOOT, HEAD, INK, TEXT, WHITE, Colours, draw_panel, font, panel_size, wrapped
 from itof.pictures.plan import Bounds, Plan, draw_plan
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-_WIDTH: Final = 330  # of a panel, pixels, about
-_LARGEST: Final = 660
-_ASPECT: Final = (0.4, 1.6)  # height over width of a panel; longer images are squeezed
 _GAP, _LINE = 16, TEXT + 6
 _SHOWN_SHARE: Final = 99.5  # percent of the pixels whose light the colours span
 _LEAST_ERROR_CM: Final = 0.1
@@ -95,9 +92,7 @@ def draw_prediction(view: View, words: str, scale: Scale | None = None) -> Pictu
     scale : None for that which fits this view.
     """
     scale, answer = scale or Scale.of([view]), view.answer
-    rows, columns = answer.mask.shape
-    width = min(columns * max(1, round(_WIDTH / columns)), _LARGEST)
-    height = round(width * float(np.clip(rows / columns, *_ASPECT)))
+    width, height = panel_size(*answer.mask.shape)
     across, down = width + _GAP, HEAD + height + FOOT + _GAP
     plan_size = (round(1.3 * width), 2 * down - HEAD - _GAP)
     page_width = _GAP + 2 * across + plan_size[0] + _GAP

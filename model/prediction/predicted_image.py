@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
+from disk.told import Told
 from itof.wall.check_result import MeasurementCheck, WallSummary
 from itof.wall.empty_corner import CapturedPlane
 from model.prediction.explained_light import ExplainedLight
 from model.prediction.explanation import Explanation
 
 _LEAST_TOLD_M: Final = 1e-3
+_MOST_SHOWN: Final = 8  # pictures in a notebook
 
 
 @dataclass(frozen=True)
@@ -82,18 +86,20 @@ def _centimetres(error_m: float) -> str:
 
 
 @dataclass(frozen=True)
-class FilePrediction:
+class FilePrediction(Told):
     """Outcome of `predict_file`.
 
     Attributes
     ----------
     images : the predicted images, in the order of the file.
     check : how the measurement compares with the relay wall of the run.
+    folder : that with the files of the images.
     wall : of the reference; None without one, or if the network does not need to know it.
     """
 
     images: tuple[PredictedImage, ...]
     check: MeasurementCheck
+    folder: Path
     wall: CapturedPlane | None = None
 
     @property
@@ -106,3 +112,10 @@ class FilePrediction:
         """The outcome as text: the reference, the wall, and what each image shows."""
         wall = () if self.wall is None else (self.wall.sentence,)
         return (*self.check.sentences, *wall, *(image.sentence for image in self.images))
+
+    def _repr_html_(self) -> str:
+        """The sentences, and the pictures of the first images, for a notebook."""
+        files = [self.folder / f"{image.name}.png" for image in self.images[:_MOST_SHOWN]]
+        pictures = [base64.b64encode(file.read_bytes()).decode() for file in files if file.is_file()]
+        shown = "".join(f'<img src="data:image/png;base64,{picture}">' for picture in pictures)
+        return super()._repr_html_() + shown

@@ -139,7 +139,7 @@ def predict_file(
         }
         write_text(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
         _refuse_other_contents(out)  # which may have got other files meanwhile
-    return FilePrediction(images, check, wall)
+    return FilePrediction(images, check, out, wall)
 
 
 def _refuse_implausible(check: MeasurementCheck, measured: Measurement, run: Path, force: bool) -> None:

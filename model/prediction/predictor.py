@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from disk import NightError, PathLike
+from disk.frequency_text import megahertz
 from disk.quantities import MAX_FOV_DEG, MIN_FOV_DEG
 from itof import DepthMap, amplitude
 from itof.wall.empty_corner import CapturedPlane, captured_wall, find_wall
@@ -50,6 +51,16 @@ class Predictor:
     network: UNet
     device: torch.device
     weights_sha256: str
+
+    def __repr__(self) -> str:
+        config, inputs = self.config, self.config.inputs
+        views = " to ".join(dict.fromkeys(f"{view_deg:.3g}" for view_deg in config.trained_views_deg))
+        size = f"{config.image_width} x {config.image_height} pixels"
+        count = sum(weights.numel() for weights in self.network.parameters())
+        return (
+            f"Predictor for {size}, {megahertz(*inputs.frequencies_hz)}, {views} degrees\n"
+            f"channels {inputs.channels}, target {config.readout.target}, {count:,} weights on {self.device}"
+        )
 
     @cached_property
     def reference(self) -> NDArray[np.complex64]:

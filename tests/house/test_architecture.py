@@ -31,7 +31,7 @@ WINGS = {
     "scenegen": set(),
     "scenegen.making": {"scenegen"},
     "itof": set(),
-    "itof.exr": {"itof"},
+    "itof.exr": {"itof", "itof.pictures"},
     "itof.files": {"itof", "itof.exr"},
     "itof.sensor": {"itof"},
     "itof.wall": {"itof"},

@@ -7,6 +7,7 @@ import stat
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from importlib.metadata import version
 
 import pytest
@@ -65,6 +66,27 @@ def test_a_foreign_module_of_our_name_is_named_and_not_run(tmp_path, program, fi
     assert done.stderr.startswith(f"Error: {named} would be imported in place of NIGHT's own module ")
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "ran").exists()
+
+
+def test_one_namespace_leads_through_the_chain():
+    assert dir(night_nlos) == sorted(night_nlos.__all__)
+    offered = set(dir(night_nlos)) - {"__version__", *(name.replace("-", "_") for name in PROGRAMS)}
+    homes = {name: getattr(night_nlos, name).__module__.split(".")[0] for name in offered}
+    assert {home: list(homes.values()).count(home) for home in set(homes.values())}.keys() == {
+        *("scenegen", "itof", "render", "model")
+    }
+    for name, home in homes.items():
+        assert getattr(import_module(home), name) is getattr(night_nlos, name)
+    with pytest.raises(AttributeError, match="no attribute nothing"):
+        night_nlos.nothing  # noqa: B018
+
+
+def test_a_foreign_module_of_our_name_is_named_in_python_too(tmp_path):
+    (tmp_path / "model.py").write_text("raise SystemExit('it ran')")
+    code = "import night_nlos; night_nlos.load"
+    done = shell(f'cd {tmp_path}; exec "$@"', sys.executable, "-c", code)  # which looks there first
+    wrong = f"ImportError: {tmp_path / 'model.py'} would be imported in place of"
+    assert done.stderr.splitlines()[-1].startswith(wrong)
 
 
 def test_foreign_modules_of_other_names_do_no_harm(tmp_path):

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -171,6 +172,18 @@ def test_pictures_are_optional_and_change_no_number(seeing_run, exr, tmp_path):
     assert bare == replace(drawn, files=tuple(name for name in drawn.files if name != "000000.png"))
     assert not list((tmp_path / "bare").glob("*.png"))
     assert_same(tmp_path / "bare", tmp_path / "drawn")
+
+
+def test_a_notebook_shows_the_pictures_and_no_markup_of_others(seeing_run, exr, phasors, tmp_path):
+    two = write_npz(tmp_path / "two.npz", phasors=phasors[:2], **{"<b>": np.zeros(1)})
+    shown = predict(seeing_run, two, tmp_path / "out")._repr_html_()
+    assert shown.count('<img src="data:image/png;base64,') == 2
+    assert "<b>" not in shown
+    assert "&lt;b&gt;" in shown
+    one = written(tmp_path / "out")
+    with Image.open(BytesIO(one._repr_png_())) as picture:
+        assert picture.format == "PNG"
+    assert "<img" not in predict(seeing_run, exr, tmp_path / "bare", pictures=False)._repr_html_()
 
 
 @pytest.mark.parametrize("ending", ["gif", "webp"])

@@ -34,6 +34,13 @@ def test_the_view_of_the_wall_comes_back_exactly_from_json(closed_form_scenes, p
     assert adapter.validate_json(adapter.dump_json(odd)) == odd
 
 
+def test_a_predictor_says_in_two_lines_what_it_is_for(predictor):
+    lines = repr(predictor).split("\n")
+    height, width = predictor.reference.shape[:2]
+    assert lines[0] == f"Predictor for {width} x {height} pixels, 20, 50, 60 MHz, 60 degrees"
+    assert len(lines) == 2
+
+
 def test_the_reference_of_a_run_is_that_of_the_shards(predictor, shards):
     np.testing.assert_array_equal(predictor.reference, shards.reference)
 
