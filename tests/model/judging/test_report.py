@@ -14,7 +14,6 @@ from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 from itof.metrics import image_metrics
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
-from model.judging.latex_tables import escaped
 from model.judging.report.chart_png import chart_figure
 from model.judging.report.charts import training_curves
 from model.prediction.predictor import load
@@ -150,27 +149,6 @@ def test_the_summary_in_markdown_has_a_line_for_every_shape_and_wall(judged_run)
         assert f"| {group.name} | {group.count} | {100 * group.depth_mae_m:.2f} |" in text
     widths = [line.count("|") for line in text.splitlines() if line.startswith("|")]
     assert set(widths) == {7}
-
-
-def test_the_tables_in_latex_have_the_same_numbers(judged_run):
-    report, folder = judged_run
-    text = (folder / "tables.tex").read_text()
-    assert text.count(r"\begin{table}") == text.count(r"\end{tabular}") == 1 + len(report.groups)
-    for measure, who, texts in report.lines():
-        assert " & ".join((escaped(measure.name), who, *texts)) in text
-    for table in report.groups:
-        for group in table.groups:
-            assert f"{escaped(group.name)} & {group.count} & {100 * group.depth_mae_m:.2f} &" in text
-    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
-    assert {line.count(" & ") for line in rows} == {5}
-
-
-def test_no_name_is_a_command_of_latex():
-    told = escaped("\\input{x}\n$a_b^c~ & 5 %\x00 #<>|")
-    assert told == (
-        r"\textbackslash{}input\{x\} \$a\_b\textasciicircum{}c\textasciitilde{} \& 5 \% "
-        r"\#\textless{}\textgreater{}\textbar{}"
-    )
 
 
 def test_the_page_refers_to_nothing_on_the_network(judged_run):
