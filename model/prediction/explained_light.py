@@ -139,7 +139,7 @@ def _light(inputs: InputSpec, z: Phasors, wall: ExpectedWall) -> tuple[Floats, P
     strength = np.abs(z[..., 0])
     as_bright = direct[0] * (strength / np.maximum(np.abs(direct[0, ..., 0]), 1e-300))[..., None]
     residual = residual_channels(z[None], direct, "uniform", wall_alone=inputs.wall_alone)[0]
-    return np.asarray(residual, np.float64) * strength / strength.mean(), as_bright
+    return np.asarray(residual, np.float64) * strength / max(float(strength.mean()), 1e-300), as_bright
 
 
 def _noise_energy(light: Floats, used: Bools) -> tuple[float, float]:

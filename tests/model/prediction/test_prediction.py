@@ -174,6 +174,13 @@ def test_pictures_are_optional_and_change_no_number(seeing_run, exr, tmp_path):
     assert_same(tmp_path / "bare", tmp_path / "drawn")
 
 
+def test_a_dark_image_can_be_forced_and_drawn(seeing_run, phasors, tmp_path):
+    dark = write_npz(tmp_path / "dark.npz", phasors=0 * phasors[:1])
+    (image,) = predict(seeing_run, dark, tmp_path / "out", rescale=False).images
+    assert (image.light.strength, image.light.share) == (0, None)
+    assert (tmp_path / "out" / "000000.png").is_file()
+
+
 def test_a_notebook_shows_the_pictures_and_no_markup_of_others(seeing_run, exr, phasors, tmp_path):
     two = write_npz(tmp_path / "two.npz", phasors=phasors[:2], **{"<b>": np.zeros(1)})
     shown = predict(seeing_run, two, tmp_path / "out")._repr_html_()
