@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -82,3 +84,13 @@ def _check_llvm(version: tuple[int, ...] | None) -> None:
         raise BackendError(
             f"LLVM {found}{where} is too old for DrJit and would abort the process: {INSTALL_LLVM}"
         )
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of NIGHT and of its renderers, for the files."""
+    return {
+        "generator": f"night-render {version('night-nlos')}",
+        "mitsuba_version": version("mitsuba"),
+        "mitransient_version": version("mitransient"),
+    }

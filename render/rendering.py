@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
-from importlib.metadata import version
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,13 +24,16 @@ from itof import (
     write_image,
 )
 from itof.exr.image import FIELD_OF_VIEW, PROJECTOR
-from render.backend import drjit_threads, select_variant
+from render.backend import drjit_threads, select_variant, versions
 from render.batch.light import BOUNCES, SceneLight, suits
 from render.batch.scene_lights import SceneLights
+from render.earlier_renders import forget_earlier, is_damaged
 from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured, refuse_unlike
 from render.options import BatchedOptions
+from render.room_layer import refuse_room, room_layer
 from render.settings import RenderError, RenderSettings
 from render.transport.lights.hidden_surface import HiddenSurfaceError
+from render.transport.many_light import ManyLight
 from render.transport.method import Exposure, View
 from render.transport.methods import METHODS
 from render.transport.mirrored import trace_ground_truth
@@ -43,7 +45,6 @@ from scenegen import (
     IMAGE_FILES,
     MEASUREMENT_FILE,
     MIRRORED_TRANSIENT_FILE,
-    RECORD_FILE,
     TRANSIENT_FILE,
     TRANSIENT_FILES,
     Dataset,
@@ -56,7 +57,6 @@ from scenegen import (
     write_record,
 )
 from scenegen.mitsuba_description import mirrored_description, seen_description
-from scenegen.render_folder import difference
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
 _Result = TypeVar("_Result")
@@ -155,9 +155,9 @@ class Renderer:
         scene_id = source.scene.id
         folder = self.dataset.render_folder(scene_id)
         recipe = self.settings.recipe(self.dataset, source.digest)
-        forget = partial(_forget_earlier, folder, "" if self.settings.wants_transients else recipe)
+        forget = partial(forget_earlier, folder, "" if self.settings.wants_transients else recipe)
         earlier = read_record(folder)
-        if earlier is None or earlier.recipe != recipe or _is_damaged(folder, earlier):
+        if earlier is None or earlier.recipe != recipe or is_damaged(folder, earlier):
             forget()
         if folder.is_dir():
             remove_leftovers(folder)  # of any file: the folder is ours
@@ -192,6 +192,8 @@ class Renderer:
             refuse_edited(self.dataset, [scene_id])
         scene = scene_of(files, folder)
         refuse_unlike(scene, self.dataset, files, digest)
+        if isinstance(self._method, ManyLight):
+            refuse_room(scene, self.settings.bounces(self.dataset), self.settings.wants_transients)
         return _Source(scene, folder, files, digest)
 
     def _render_measurement(
@@ -201,8 +203,9 @@ class Renderer:
         scene = source.scene
         view = self._view(self.settings.bounces(self.dataset), scene.seed)
         try:
-            seen, wall = seen_description(scene), self._method.rough_wall
-            loaded = scene_from_data(seen, source.files, source.folder, wall)
+            separate = isinstance(self._method, ManyLight)
+            seen = seen_description(scene.in_black_room() if separate else scene)
+            loaded = scene_from_data(seen, source.files, source.folder, self._method.rough_wall)
             exposure = self._method.expose(loaded, view)
         except (SceneError, HiddenSurfaceError) as error:
             raise RenderError(f"scene {scene.id}: {error}") from None
@@ -212,16 +215,11 @@ class Renderer:
         if self.settings.wants_transients:
             binned = self._write_rows(exposure, folder / TRANSIENT_FILE, attributes, exact is None)
         if exact is not None:
-            parts = {"itof": exact.total, "direct": exact.direct, "hidden": exact.hidden}
-        elif binned is not None:
-            parts = {"itof": binned}
-        else:
+            return self._write_parts(source, exact.direct, exact.hidden, attributes, folder)
+        if binned is None:
             what, rows = f"scene {scene.id}: the measurement", exposure.lit_rows()
-            parts = {"itof": self._phi(rows.bins).apply_streaming(_finite(rows.blocks, what))}
-        channels: dict[str, NDArray[np.float32]] = {}
-        for prefix, phasor in parts.items():
-            channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
-        self._write(folder / MEASUREMENT_FILE, channels, attributes)
+            binned = self._phi(rows.bins).apply_streaming(_finite(rows.blocks, what))
+        self._write_phasors({"itof": binned}, attributes, folder)
         return attributes
 
     def _write_light(
@@ -230,15 +228,38 @@ class Renderer:
         """Write phasors and ground truth of the engine; return the attributes of these files."""
         made = {"method": BatchedOptions.method, "hidden_error": f"{light.error:.3g}"}
         attributes = {**attributes, **made, "seed": str(source.scene.seed)}
-        parts = {"itof": light.direct + light.hidden, "direct": light.direct, "hidden": light.hidden}
-        channels: dict[str, NDArray[np.float32]] = {}
-        for prefix, phasor in parts.items():
-            channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
-        self._write(folder / MEASUREMENT_FILE, channels, attributes)
+        attributes = self._write_parts(source, light.direct, light.hidden, attributes, folder)
         depth_m = light.radial_depth_m.astype(np.float64)
         truth = DepthMap.of_object(depth_m, depth_m > 0, self.frequencies_hz[0])
         self._write(folder / GROUND_TRUTH_FILE, truth.channels(), attributes)
         return attributes
+
+    def _write_parts(
+        self,
+        source: _Source,
+        direct: NDArray[np.complexfloating],
+        hidden: NDArray[np.complexfloating],
+        attributes: dict[str, str],
+        folder: Path,
+    ) -> dict[str, str]:
+        """Write the phasors of the light of a black room with those of the room; return their attributes."""
+        parts = {"itof": direct + hidden, "direct": direct, "hidden": hidden}
+        scene, method = source.scene, self._method
+        if scene.room_reflects and isinstance(method, ManyLight):
+            view = self._view(BOUNCES, scene.seed)
+            room = room_layer(scene, source.files, source.folder, method, view, hidden)
+            parts |= {"itof": parts["itof"] + room.phasors, "room": room.phasors}
+            attributes = {**attributes, "room_error": f"{room.error:.3g}"}
+        self._write_phasors(parts, attributes, folder)
+        return attributes
+
+    def _write_phasors(
+        self, parts: Mapping[str, NDArray[np.complexfloating]], attributes: dict[str, str], folder: Path
+    ) -> None:
+        channels: dict[str, NDArray[np.float32]] = {}
+        for prefix, phasor in parts.items():
+            channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
+        self._write(folder / MEASUREMENT_FILE, channels, attributes)
 
     def _render_mirrored(self, source: _Source, attributes: dict[str, str], folder: Path) -> None:
         scene = source.scene
@@ -299,7 +320,7 @@ class Renderer:
 
     def _attributes(self, scene: Scene) -> dict[str, str]:
         return {
-            **_versions(),
+            **versions(),
             "variant": self.variant,
             "scene_id": scene.id,
             **{name: json.dumps(getattr(scene.camera, name.removeprefix("camera_"))) for name in _CAMERA},
@@ -316,31 +337,6 @@ def _result(work: Callable[..., _Result], *arguments: Any) -> _Result | Exceptio
         return work(*arguments)
     except Exception as error:  # of any kind: one bad scene must not stop the others
         return error
-
-
-@cache
-def _versions() -> dict[str, str]:
-    return {
-        "generator": f"night-render {version('night-nlos')}",
-        "mitsuba_version": version("mitsuba"),
-        "mitransient_version": version("mitransient"),
-    }
-
-
-def _forget_earlier(folder: Path, recipe: str) -> None:
-    """Delete the earlier record, and all transients except intact ones recorded for `recipe`."""
-    record = read_record(folder)
-    kept = record.files if record is not None and record.recipe == recipe else {}
-    (folder / RECORD_FILE).unlink(missing_ok=True)
-    for name in TRANSIENT_FILES:
-        file = folder / name
-        if file.is_file() and (name not in kept or sha256_of(file) != kept[name].sha256):
-            file.unlink()
-
-
-def _is_damaged(folder: Path, record: RenderRecord) -> bool:
-    images = {name: record.files[name] for name in IMAGE_FILES if name in record.files}
-    return any(difference(folder / name, expected) for name, expected in images.items())
 
 
 def _finite(blocks: Iterator[NDArray[np.float32]], what: str) -> Iterator[NDArray[np.float32]]:

@@ -18,7 +18,7 @@ from scenegen.geometry_check import CLEARANCE_M, possible_region, refusal
 from scenegen.pose import camera_axes, wall_normal
 from scenegen.possible_scenes import refuse_impossible_objects
 from scenegen.preset import CameraSettings, CameraSpread, Preset
-from scenegen.sampling import projector_of, sample_scene, walls_of
+from scenegen.sampling import projector_of, room_of, sample_scene, walls_of
 from scenegen.scene import Emitter, Wall
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape
 from scenegen.unit_meshes import UnitMesh
@@ -66,6 +66,13 @@ def _problems(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> Iterator[str]
     """Why the corner cannot be; a check may rely on those before it, and on `_behind`."""
     relay, middle = walls_of(preset)
     camera, projector = preset.camera, projector_of(preset, preset.camera)
+    for who, place in (("camera", camera.location_m), ("projector", projector.location_m)):
+        for wall in room_of(preset):
+            if distances_m(wall, np.array([place]))[0] <= CLEARANCE_M:
+                yield (
+                    f"the {who} at {list(place)} is behind the {wall.name} of the room, which spans from the "
+                    "relay wall to the end of the middle wall: move it or enlarge the walls"
+                )
     seen = Frustum.of_camera(camera).points_on(relay)
     if not len(seen):
         yield _looks_elsewhere(camera, relay)

@@ -30,18 +30,27 @@ def refusal(scene: Scene, meshes: Mapping[Shape, UnitMesh] = MappingProxyType({}
     """
     eyes = dict.fromkeys([scene.camera.location_m, scene.emitter.location_m])
     walls = (scene.relay_wall, scene.middle_wall)
-    region = np.vstack([possible_region(*walls, eye) for eye in eyes])  # (6 or 12, 4)
+    around = [in_front_of(wall) for wall in scene.room]
+    region = np.vstack([*(possible_region(*walls, eye) for eye in eyes), *around])  # (K, 4), K 6 to 15
     for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
         mesh = meshes[part.shape] if part.shape in meshes else unit_mesh(part.shape)
         local = region @ blender_matrix(part.location_m, part.rotation_deg)
-        inwards = (local[:, :3] * part.size_m) @ mesh.hull.T + local[:, 3:]  # (6 or 12, N)
+        inwards = (local[:, :3] * part.size_m) @ mesh.hull.T + local[:, 3:]  # (K, N)
         outside = inwards <= 0
         if outside.any():
-            first = outside[:, outside.any(axis=0).argmax()]  # (6 or 12,)
-            return f"{part.shape.removeprefix(MESH_PREFIX)} ({name}) " + (
-                "reaches through the relay wall" if first[0] else "shows beside the middle wall"
-            )
+            first = outside[:, outside.any(axis=0).argmax()]  # (K,)
+            solid = {0: "relay wall"} | {6 * len(eyes) + n: wall.name for n, wall in enumerate(scene.room)}
+            through = [wall for row, wall in solid.items() if first[row]]
+            what = f"reaches through the {through[0]}" if through else "shows beside the middle wall"
+            return f"{part.shape.removeprefix(MESH_PREFIX)} ({name}) {what}"
     return None
+
+
+def in_front_of(wall: Wall) -> list[float]:
+    """Half-space (n, d) of the points x with n·x + d > 0: in front of a wall, at some distance."""
+    pose = blender_matrix(wall.location_m, wall.rotation_deg)
+    facing = pose[:3, 2]
+    return [*facing, -facing @ pose[:3, 3] - CLEARANCE_M]
 
 
 def possible_region(relay_wall: Wall, middle_wall: Wall, eye: Vector) -> NDArray[np.float64]:
@@ -53,10 +62,8 @@ def possible_region(relay_wall: Wall, middle_wall: Wall, eye: Vector) -> NDArray
     (c - z). Where c > 0, the point is hidden if z < 0 and this place is on the wall, of half size h:
     |cx - az| < h_x (c - z), |cy - bz| < h_y (c - z). Where c < 0, the signs of c, z and c - z change.
     """
-    walls = (relay_wall, middle_wall)
-    relay, middle = (blender_matrix(wall.location_m, wall.rotation_deg) for wall in walls)
-    facing = relay[:3, 2]
-    free = [*facing, -facing @ relay[:3, 3] - CLEARANCE_M]
+    middle = blender_matrix(middle_wall.location_m, middle_wall.rotation_deg)
+    free = in_front_of(relay_wall)
     frame = middle[:3, :3].T @ np.hstack([np.eye(3), -middle[:3, 3:]])  # (3, 4)
     camera = frame[:, :3] @ np.array(eye, np.float32) + frame[:, 3]  # (3,)
     side = np.sign(camera[2])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.corner_geometry import Points, corners_of
-from scenegen.mitsuba_description import hidden_names, mirrored_names
+from scenegen.mitsuba_description import hidden_names, mirrored_names, wall_names
 from scenegen.pose import mirror_image
 from scenegen.scene import HiddenObject, Scene
 from scenegen.shapes import PRIMITIVES
@@ -45,8 +45,9 @@ def _errors(scene: Scene, files: Mapping[str, bytes], folder: Path) -> Iterator[
     def vertices(name: str) -> Points:
         return scene_triangles(files[name], str(folder / name))[0].astype(np.float64)
 
-    for which in ("relay_wall", "middle_wall"):
-        wall, name = getattr(scene, which), f"{which}.ply"
+    walls = (scene.relay_wall, scene.middle_wall, *scene.room)
+    for wall, wall_name in zip(walls, wall_names(scene), strict=True):
+        name = f"{wall_name}.ply"
         if name in files:
             yield name, _farthest_m(corners_of(wall), vertices(name)), max(wall.size_m)
     for object_name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):

@@ -40,18 +40,31 @@ def mirrored_names(scene: Scene) -> dict[str, str]:
     return {f"mirrored_{name}": name for name in names}
 
 
+def wall_names(scene: Scene) -> list[str]:
+    """Names of all walls and of their mesh files without ``.ply``: both walls, and those of the room."""
+    return ["relay_wall", "middle_wall", *(wall.name for wall in scene.room)]
+
+
 def seen_description(scene: Scene) -> Description:
-    """What the camera measures: both walls and the hidden objects."""
+    """What the camera measures: the walls and the hidden objects."""
     hidden = {name: _material_name(name, scene) for name in hidden_names(scene)}
-    meshes = {"relay_wall": "relay_wall", "middle_wall": "middle_wall", **hidden}
+    meshes = {name: name for name in wall_names(scene)} | hidden
     return _description(scene, meshes, scene.max_bounces)
+
+
+def room_description(scene: Scene) -> Description:
+    """The scene without relay wall: all that the camera sees of it, light has met in the room alone."""
+    described = seen_description(scene)
+    return {name: part for name, part in described.items() if not name.startswith("relay_wall")}
 
 
 def mirrored_description(scene: Scene) -> Description:
     """The scene of the ground truth: without relay wall, the hidden objects mirrored at its plane.
 
-    Like a real mirror, a scene with `mirror_occluders` also has the mirror image of the middle wall.
+    Like a real mirror, a scene with `mirror_occluders` also has the mirror image of the middle wall. Nothing
+    but the objects reflects light.
     """
+    scene = scene.in_black_room()
     mirrored = {
         image: "middle_wall" if name == "middle_wall" else _material_name(name, scene)
         for image, name in mirrored_names(scene).items()
@@ -130,7 +143,9 @@ def _material(name: str, scene: Scene) -> Description:
         return _relay_wall(scene.relay_wall)
     names = [_material_name(each, scene) for each in hidden_names(scene)]
     parts = dict(zip(names, scene.hidden_objects, strict=True))
-    return _diffuse(parts[name].reflectance if name in parts else 0.0)  # the middle wall is black
+    walls = {str(wall.name): wall.reflectance for wall in scene.room}
+    objects = {each: part.reflectance for each, part in parts.items()}
+    return _diffuse((walls | objects).get(name, scene.middle_wall.reflectance))
 
 
 def _material_name(name: str, scene: Scene) -> str:

@@ -87,7 +87,7 @@ class RelayWallSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class MiddleWallSettings:
-    """The black wall that hides the object from the camera; geometry as of `RelayWallSettings`."""
+    """The wall that hides the object from the camera; geometry as of `RelayWallSettings`."""
 
     size_m: tuple[Length, Length] = (3.3, 4.0)
     location_m: Location = (2.35, 0.0, 2.0)
@@ -163,6 +163,19 @@ class GroundTruthSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
+class RoomSettings:
+    """Reflectances of the diffuse surfaces around the corner; 0, as in the paper, is a black surface.
+
+    `floor`, `ceiling` and `back_wall` complete the room (`scenegen.room.walls_around`).
+    """
+
+    middle_wall: Reflectance = 0.0
+    floor: Reflectance = 0.0
+    ceiling: Reflectance = 0.0
+    back_wall: Reflectance = 0.0
+
+
+@dataclass(frozen=True, config=STRICT)
 class Preset:
     """All settings of a dataset. The defaults are those of the preset ``paper``.
 
@@ -186,6 +199,7 @@ class Preset:
     ground_truth: Annotated[
         GroundTruthSettings, Field(exclude_if=lambda value: value == GroundTruthSettings())
     ] = GroundTruthSettings()
+    room: Annotated[RoomSettings, Field(exclude_if=lambda value: value == RoomSettings())] = RoomSettings()
     object: Annotated[tuple[ListedObject, ...], Field(exclude_if=lambda value: not value)] = ()
 
     @property

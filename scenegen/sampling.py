@@ -12,6 +12,7 @@ from disk.quantities import Vector
 from scenegen.object_settings import LocationRanges, RotationRanges
 from scenegen.object_tables import BesideObject, OffsetRanges, Path, on_path
 from scenegen.preset import Preset
+from scenegen.room import walls_around
 from scenegen.scene import (
     COMPOSITE,
     EMPTY,
@@ -19,7 +20,9 @@ from scenegen.scene import (
     Darkening,
     Emitter,
     HiddenObject,
+    MiddleWall,
     RelayWall,
+    RoomWall,
     Scene,
     Split,
     Wall,
@@ -63,14 +66,28 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
         emitter=projector_of(preset, camera),
         max_bounces=preset.transient.max_bounces,
         mirror_occluders=preset.ground_truth.mirror_occluders,
+        room=room_of(preset),
     )
 
 
-def walls_of(preset: Preset) -> tuple[Wall, Wall]:
-    """Relay wall and middle wall, which all scenes share, without their materials."""
-    walls = (preset.relay_wall, preset.middle_wall)
-    relay, middle = (Wall(wall.size_m, wall.location_m, wall.rotation_deg) for wall in walls)
-    return relay, middle
+def walls_of(preset: Preset) -> tuple[Wall, MiddleWall]:
+    """Relay wall, without its material, and middle wall, which all scenes share."""
+    relay, middle = preset.relay_wall, preset.middle_wall
+    return (
+        Wall(relay.size_m, relay.location_m, relay.rotation_deg),
+        MiddleWall(middle.size_m, middle.location_m, middle.rotation_deg, preset.room.middle_wall),
+    )
+
+
+def room_of(preset: Preset) -> tuple[RoomWall, ...]:
+    """Floor, ceiling and back wall of all scenes, as far as they reflect."""
+    around = walls_around(*walls_of(preset))
+    reflectances = {name: getattr(preset.room, name) for name in around}
+    return tuple(
+        RoomWall(wall.size_m, wall.location_m, wall.rotation_deg, name, reflectances[name])
+        for name, wall in around.items()
+        if reflectances[name] > 0
+    )
 
 
 def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
@@ -25,6 +26,7 @@ from scenegen.shapes import Shape
 COMPOSITE = "composite"
 EMPTY = "no_object"
 Split = Literal["train", "validation", "test"]
+RoomWallName = Literal["floor", "ceiling", "back_wall"]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -49,6 +51,21 @@ class Wall:
     size_m: tuple[Positive, Positive]
     location_m: Vector
     rotation_deg: Vector
+
+
+@dataclass(frozen=True, config=STRICT)
+class MiddleWall(Wall):
+    """The diffuse wall that hides the object from the camera."""
+
+    reflectance: Annotated[Reflectance, Field(exclude_if=lambda value: value == 0)] = 0.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class RoomWall(Wall):
+    """A diffuse surface around the corner; it faces the room."""
+
+    name: RoomWallName
+    reflectance: Reflectance
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -115,6 +132,7 @@ class Scene:
     split : train, validation or test.
     max_bounces : number of surfaces that light may meet.
     mirror_occluders : whether the mirrored scene has the mirror image of the middle wall.
+    room : floor, ceiling and back wall, as far as they reflect.
     """
 
     index: Annotated[int, Field(ge=0)]
@@ -125,17 +143,27 @@ class Scene:
     split: Split
     hidden_objects: tuple[HiddenObject, ...]
     relay_wall: RelayWall
-    middle_wall: Wall
+    middle_wall: MiddleWall
     camera: Camera
     emitter: Emitter
     max_bounces: Annotated[int, Field(ge=1, le=MOST_BOUNCES)]
     mirror_occluders: Annotated[bool, Field(exclude_if=lambda value: value is False)] = False
+    room: Annotated[tuple[RoomWall, ...], Field(exclude_if=lambda value: not value)] = ()
     schema_version: Literal[1] = 1
 
     @property
     def id(self) -> str:
         """Name of the scene's folders: see `scene_id`."""
         return scene_id(self.index)
+
+    @property
+    def room_reflects(self) -> bool:
+        """Whether any surface but the relay wall and the objects reflects light."""
+        return bool(self.room) or self.middle_wall.reflectance > 0
+
+    def in_black_room(self) -> Scene:
+        """The scene whose middle wall is black, without the surfaces of its room."""
+        return replace(self, middle_wall=replace(self.middle_wall, reflectance=0.0), room=())
 
     @property
     def has_flash(self) -> bool:

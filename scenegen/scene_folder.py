@@ -11,19 +11,28 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import get_args
 
 from disk.contract import ContractError
 from disk.night_error import NightError
-from scenegen.mitsuba_description import EMITTER_IMAGE, hidden_names, is_emitter_pfm, mirrored_names
+from scenegen.mitsuba_description import (
+    EMITTER_IMAGE,
+    hidden_names,
+    is_emitter_pfm,
+    mirrored_names,
+    wall_names,
+)
 from scenegen.mitsuba_xml import MIRRORED_XML, SEEN_XML, scene_files_for_mitsuba
-from scenegen.scene import Scene, scene_from_json, scene_to_json
+from scenegen.scene import RoomWallName, Scene, scene_from_json, scene_to_json
 from scenegen.wall_image import WALL_IMAGE, wall_pfm
 
 SCENE_FILE = "scene.json"
 WALLS = ("relay_wall", "middle_wall")
 _FIXED_NAMES = {SCENE_FILE, SEEN_XML, MIRRORED_XML, EMITTER_IMAGE, *(f"{wall}.ply" for wall in WALLS)}
 _ANY_NAMES = _FIXED_NAMES | {WALL_IMAGE}
-_OTHER_MESH = re.compile(r"((mirrored_)?hidden_object_[0-9]+|mirrored_middle_wall)\.ply")
+_OTHER_MESH = re.compile(
+    rf"((mirrored_)?hidden_object_[0-9]+|mirrored_middle_wall|{'|'.join(get_args(RoomWallName))})\.ply"
+)
 MOST_FILE_BYTES = 2**30  # of a folder: two million triangles, the most that a mesh may have, take 50 MB
 
 
@@ -85,7 +94,7 @@ def differences(folder: Path) -> str:
         scene = scene_of(files, folder)
     except NightError as error:
         return str(error)
-    meshes = {f"{name}.ply" for name in (*WALLS, *hidden_names(scene), *mirrored_names(scene))}
+    meshes = {f"{name}.ply" for name in (*wall_names(scene), *hidden_names(scene), *mirrored_names(scene))}
     image = wall_pfm(scene.relay_wall)
     expected = (_FIXED_NAMES if image is None else _ANY_NAMES) | meshes
     for name in sorted(files.keys() ^ expected):

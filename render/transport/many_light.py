@@ -19,6 +19,7 @@ from render.options import COARSEST_EDGES, ManyLightOptions
 from render.transport.film.lattice import Lattice
 from render.transport.film.pixels import Grid, PixelRule, gauss_rule
 from render.transport.kernels.rough_wall import register_rough_wall
+from render.transport.lights.arrivals import OVER_THE_WALL, Incoming
 from render.transport.lights.hidden_surface import HiddenSurface, read_hidden_surface
 from render.transport.lights.light_pass import Lights, light_density, make_lights
 from render.transport.lights.run_statistics import needed_points
@@ -40,8 +41,8 @@ if TYPE_CHECKING:
 
 _FEWEST_WALL_POINTS, _MOST_WALL_POINTS = 32, 256  # for each surface point
 _LIGHT_PATHS = 2**16  # surface points times wall points
-_RUNS = 8  # at least, in a trial and in an image
-_FEWEST_POINTS, _FIRST_TRIAL, _MOST_POINTS = 32, 128, 2**14  # on the hidden surface, of a run
+RUNS = 8  # at least, in a trial and in an image
+_FEWEST_POINTS, FIRST_TRIAL, _MOST_POINTS = 32, 128, 2**14  # on the hidden surface, of a run
 _REFINED = 1.5  # lights that lack this factor of points get new runs with twice the points, others more runs
 _MARGIN = 0.85  # of the wanted error: what the lights are planned for; the rest is for chance
 _FOR_LIGHTS = 0.96  # of the wanted error; a quarter of it for the interpolation makes it whole
@@ -86,75 +87,98 @@ class ManyLight:
             check_many_light_scene(scene, surface is not None)
         if surface is None:
             return ManyLightExposure(scene, view, None, self.options.edge_divisions, self.options.error, None)
-        workshop = LightWorkshop(scene, surface, light_density(scene, surface, view.seed), view)
-        layout, wanted = view.layout, None if self.options.lights else self.options.error
+        return LightWorkshop.of(scene, surface, view).exposure(self.options)
+
+
+@dataclass(frozen=True)
+class LightWorkshop:
+    """Makes sets of lights for one measurement, for trials and for the image.
+
+    `surface` is that of the lights, and `incoming` the light that they get.
+    """
+
+    scene: mi.Scene
+    surface: HiddenSurface
+    density: NDArray[np.float64]
+    view: View
+    incoming: Incoming = OVER_THE_WALL
+
+    @classmethod
+    def of(
+        cls, scene: mi.Scene, surface: HiddenSurface, view: View, incoming: Incoming = OVER_THE_WALL
+    ) -> LightWorkshop:
+        """With the density of the light.
+
+        Raises
+        ------
+        HiddenSurfaceError : no light reaches the surface, or light that is not finite.
+        """
+        return cls(scene, surface, light_density(scene, surface, view.seed, incoming), view, incoming)
+
+    def exposure(self, options: ManyLightOptions) -> ManyLightExposure:
+        """The measurement of the scene.
+
+        Raises
+        ------
+        SceneError : the light of the surface cannot be estimated.
+        """
+        layout, wanted = self.view.layout, None if options.lights else options.error
         try:
-            lights, found = self._lights(workshop)
+            lights, found = self.chosen(options)
         except ValueError as error:
             raise SceneError(f"the hidden signal cannot be estimated ({error}): {USE_PATH}") from None
         field = make_field(
-            scene,
+            self.scene,
             lights,
-            view.frequencies_hz,
+            self.view.frequencies_hz,
             found,
             most_nodes=layout.width * layout.height * hidden_rule(layout.width).count,
             wanted=wanted,
         )
         log.debug("%d lights of %d runs, %s", len(lights), lights.runs, field.lattice)
         wanted = field.error if wanted is None else wanted
-        return ManyLightExposure(
-            scene, view, field, self.options.edge_divisions, wanted, _strength(scene, found)
-        )
+        strength = _strength(self.scene, found)
+        return ManyLightExposure(self.scene, self.view, field, options.edge_divisions, wanted, strength)
 
-    def _lights(self, workshop: LightWorkshop) -> tuple[Lights, RunValues]:
+    def chosen(self, options: ManyLightOptions) -> tuple[Lights, RunValues]:
         """The lights of the image, and the hidden signal by each of their runs."""
-        if self.options.lights is not None:
-            runs = min(_RUNS, max(2, self.options.lights))
-            return workshop.evaluated(-(-self.options.lights // runs), runs, 0)
-        count = _FIRST_TRIAL
+        if options.lights is not None:
+            runs = min(RUNS, max(2, options.lights))
+            return self.evaluated(-(-options.lights // runs), runs, 0)
+        count = FIRST_TRIAL
         needed = float(count)
         for trial in itertools.count(1):
-            error = workshop.evaluated(count, _RUNS, trial)[1].error
-            needed = needed_points(count, error, _MARGIN * self.options.error)
+            error = self.evaluated(count, RUNS, trial)[1].error
+            needed = needed_points(count, error, _MARGIN * options.error)
             if needed <= 4 * count or count >= _MOST_POINTS:
                 break
             count *= 4
         needed = min(max(needed, _FEWEST_POINTS), _MOST_POINTS)
         # Powers of two make the most even points; the number of runs makes up for the rest.
         count = 2 ** int(np.log2(needed))
-        runs = int(np.ceil(_RUNS * needed / count))
-        lights, found = workshop.evaluated(count, runs, 0)
-        wanted = _FOR_LIGHTS * self.options.error
+        runs = int(np.ceil(RUNS * needed / count))
+        lights, found = self.evaluated(count, runs, 0)
+        wanted = _FOR_LIGHTS * options.error
         # The trial was lucky. More of the same hardly lower the estimate of the error, which all runs give.
         stream = 0
-        while found.error > wanted and lights.runs * count < _RUNS * _MOST_POINTS:
+        while found.error > wanted and lights.runs * count < RUNS * _MOST_POINTS:
             if needed_points(count, found.error, wanted) > _REFINED * count:
                 stream, count = stream - 1, 2 * count
-                lights, found = workshop.evaluated(count, _RUNS, stream)
+                lights, found = self.evaluated(count, RUNS, stream)
             else:
                 runs = int(np.ceil(lights.runs * ((found.error / wanted) ** 2 - 1) * 1.1))
-                lights, found = workshop.with_more_runs(lights, found, count, runs, stream)
-        if found.error > self.options.error:
+                lights, found = self.with_more_runs(lights, found, count, runs, stream)
+        if found.error > options.error:
             log.warning("the hidden-signal error is %.2g even with %d lights", found.error, len(lights))
         return lights, found
 
-
-@dataclass(frozen=True)
-class LightWorkshop:
-    """Makes sets of lights for one measurement, for trials and for the image."""
-
-    scene: mi.Scene
-    surface: HiddenSurface
-    density: NDArray[np.float64]
-    view: View
-
     def lights(self, count: int, runs: int, stream: int, first_run: int = 0) -> Lights:
         """Lights of independent runs with `count` surface points each; stream 0 is the image."""
-        wall_points = min(max(_LIGHT_PATHS // (count * _RUNS), _FEWEST_WALL_POINTS), _MOST_WALL_POINTS)
+        wall_points = min(max(_LIGHT_PATHS // (count * RUNS), _FEWEST_WALL_POINTS), _MOST_WALL_POINTS)
         numbers = np.random.SeedSequence([self.view.seed, 1, stream % 2**32]).generate_state(first_run + runs)
         seeds = [int(number) for number in numbers[first_run:]]
-        bounces = self.view.max_bounces
-        return make_lights(self.scene, self.surface, self.density, count, wall_points, seeds, bounces)
+        own = (self.scene, self.surface, self.density)
+        return make_lights(*own, count, wall_points, seeds, self.view.max_bounces, self.incoming)
 
     def evaluated(
         self, count: int, runs: int, stream: int, first_run: int = 0, lattice: Lattice | None = None
@@ -208,7 +232,7 @@ class ManyLightExposure:
         if self.field is None or self._hidden is None:
             return None
         norm = np.linalg.norm(self._hidden.phasors, axis=(0, 1))
-        missed = np.hypot(self._hidden.missed, self._direct.missed)
+        missed = np.hypot(self._hidden.missed, self.direct_image.missed)
         of_pixels = np.divide(missed, norm, out=np.zeros_like(norm), where=norm > 0).max()
         return float(np.linalg.norm([self.field.error, self._rule[1], of_pixels]))
 
@@ -221,7 +245,7 @@ class ManyLightExposure:
 
     def phasors(self) -> PhasorImage:
         """Phasors without time bins; the hidden part has no noise from the direct return."""
-        direct = self._direct.phasors
+        direct = self.direct_image.phasors
         hidden = np.zeros_like(direct) if self._hidden is None else self._hidden.phasors
         return PhasorImage(direct + hidden, direct, hidden, self.error)
 
@@ -233,13 +257,13 @@ class ManyLightExposure:
         """The same rows, of the bins that light may reach."""
         from render.transport.passes.transient_pass import transient_rows
 
-        return transient_rows(self.scene, self.view, self._grid, self._rule[0], self._direct, self.field)
+        return transient_rows(self.scene, self.view, self._grid, self._rule[0], self.direct_image, self.field)
 
     @cached_property
     def _hidden(self) -> HiddenImage | None:
         if self.field is None:
             return None
-        return self.field.image(self._grid, self._rule[0], self._direct, _FOR_NODES * self.wanted)
+        return self.field.image(self._grid, self._rule[0], self.direct_image, _FOR_NODES * self.wanted)
 
     @cached_property
     def _rule(self) -> tuple[PixelRule, float]:
@@ -247,10 +271,11 @@ class ManyLightExposure:
         rule = hidden_rule(self._grid.width)
         if self.field is None:
             return rule, 0.0
-        return self.field.enough_nodes(self._grid, rule, self._direct, _FOR_NODES * self.wanted)
+        return self.field.enough_nodes(self._grid, rule, self.direct_image, _FOR_NODES * self.wanted)
 
     @cached_property
-    def _direct(self) -> DirectImage:
+    def direct_image(self) -> DirectImage:
+        """The direct return, and which surface each pixel shows."""
         view = self.view
         allowed = FINEST_ERROR if self.strength is None else _FOR_NODES * self.wanted * self.strength
         return gather_direct(

@@ -35,7 +35,7 @@ def check_many_light_scene(scene: mi.Scene, has_hidden: bool) -> None:
 
     from render.transport.kernels.arrays import upload
     from render.transport.kernels.rays import camera_hits
-    from render.transport.lights.light_pass import emitted_rays
+    from render.transport.lights.arrivals import emitted_rays
 
     lit_any = smooth_any = False
     for emitter in scene.emitters():

@@ -27,7 +27,7 @@ from scenegen.making.blender_shapes import (
 )
 from scenegen.making.blender_start import STDOUT, bpy, empty_blender
 from scenegen.making.meshes import UserMesh
-from scenegen.mitsuba_description import EMITTER_IMAGE, emitter_pfm, hidden_names, mirrored_names
+from scenegen.mitsuba_description import EMITTER_IMAGE, emitter_pfm, hidden_names, mirrored_names, wall_names
 from scenegen.mitsuba_xml import scene_files_for_mitsuba
 from scenegen.scene import Scene, Wall, scene_to_json
 from scenegen.scene_folder import SCENE_FILE, WALLS
@@ -63,7 +63,7 @@ class BlenderMaker:
         with self._built(scene) as objects:
             mirror = reflection(objects["relay_wall"].matrix_world)
             shown = {"relay_wall": texture_coordinates(scene.relay_wall, np.array(SQUARE_CORNERS))}
-            for name in (*WALLS, *hidden_names(scene)):
+            for name in (*wall_names(scene), *hidden_names(scene)):
                 made[f"{name}.ply"] = ply_bytes(world_mesh(objects[name]), shown.get(name))
             for mirrored, name in mirrored_names(scene).items():
                 made[f"{mirrored}.ply"] = ply_bytes(world_mesh(objects[name], mirror))
@@ -89,6 +89,7 @@ class BlenderMaker:
             "camera": _camera(scene),
             "emitter": _emitter(scene),
         }
+        objects |= {str(wall.name): self._wall(wall.name, wall) for wall in scene.room}
         for name, part in zip(hidden_names(scene), scene.hidden_objects, strict=True):
             hidden = _placed(name, self._shapes[part.shape], part.location_m, part.rotation_deg)
             hidden.scale = part.size_m

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -81,7 +81,12 @@ def read_hidden_surface(scene: mi.Scene) -> HiddenSurface | None:
     HiddenSurfaceError : a hidden object is not a mesh, has no area, has corners that are not finite, or has a
         material that is not two-sided diffuse.
     """
-    parts = [_triangles(shape) for shape in hidden_shapes(scene)]
+    return read_surface(hidden_shapes(scene))
+
+
+def read_surface(shapes: Sequence[mi.Shape]) -> HiddenSurface | None:
+    """Triangles of some shapes, as `read_hidden_surface` reads those of hidden objects."""
+    parts = [_triangles(shape) for shape in shapes]
     if not parts:
         return None
     reflectance = np.concatenate([part[1] for part in parts])
@@ -210,10 +215,10 @@ def _triangles(shape: mi.Shape) -> tuple[NDArray[np.float64], NDArray[np.float64
         raise HiddenSurfaceError(
             f"hidden object {shape.id()} has only degenerate triangles (no area): repair the mesh"
         )
-    return corners, np.full(len(faces), _diffuse_reflectance(shape))
+    return corners, np.full(len(faces), surface_reflectance(shape))
 
 
-def _diffuse_reflectance(shape: mi.Shape) -> float:
+def surface_reflectance(shape: mi.Shape) -> float:
     """Reflectance of a two-sided diffuse material, from three evaluations of its BSDF.
 
     Raises

@@ -6,6 +6,7 @@ to the camera. Each further bounce is a vertex before the surface point, on a hi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,14 +21,21 @@ _RAYS = 64  # from each side of each point
 
 
 def reflected_arrivals(
-    scene: mi.Scene, points: SurfacePoints, extra_bounces: int, seed: int
+    scene: mi.Scene,
+    points: SurfacePoints,
+    extra_bounces: int,
+    seed: int,
+    *,
+    shapes: Sequence[mi.Shape] | None = None,
+    rays: int = _RAYS,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Irradiance at surface points by paths with 1 to `extra_bounces` further vertices, and their OPL.
 
-    From each side of a point, R = 64 cosine-distributed rays are traced backwards. Each vertex on a hidden
-    object adds the light that one random point of the lit wall sends over it. The ray continues with a
-    direction sampled from the BSDF of the vertex. The estimate is unbiased: E = π / R times the sum of the
-    radiance found. Light that meets the wall twice in a row is left out; for a plane wall there is none.
+    From each side of a point, R = `rays` cosine-distributed rays are traced backwards. Each vertex on one of
+    the `shapes` (None: the hidden objects) adds the light that one random point of the lit surfaces sends
+    over it. The ray continues with a direction sampled from the BSDF of the vertex. The estimate is unbiased:
+    E = π / R times the sum of the radiance found. Of vertices on hidden objects alone, light that meets the
+    wall twice in a row is left out; for a plane wall there is none.
 
     Parameters
     ----------
@@ -38,7 +46,7 @@ def reflected_arrivals(
     Returns
     -------
     Irradiance (M, K), positive on the side of the normal and negative on the other; OPL (M, K), metres, from
-    the emitter to the point. K is 128 rays x `extra_bounces` x emitters.
+    the emitter to the point. K is 2 R rays x `extra_bounces` x emitters.
     """
     import drjit as dr
     import mitsuba as mi
@@ -47,11 +55,11 @@ def reflected_arrivals(
     from render.transport.kernels.rays import on_shapes
     from render.transport.kernels.visibility import lifted
 
-    rays = 2 * _RAYS  # even numbers in front of the surface, odd numbers behind it
-    count = dr.opaque(mi.UInt32, rays)
-    lane = dr.arange(mi.UInt32, len(points.position) * rays)
+    both = 2 * rays  # even numbers in front of the surface, odd numbers behind it
+    count = dr.opaque(mi.UInt32, both)
+    lane = dr.arange(mi.UInt32, len(points.position) * both)
     point = lane // count
-    random = mi.PCG32(len(points.position) * rays, dr.opaque(mi.UInt64, seed))
+    random = mi.PCG32(len(points.position) * both, dr.opaque(mi.UInt64, seed))
     front = lane % 2 == 0
     position = dr.gather(mi.Point3f, upload_points(points.position), point)
     outward = dr.gather(mi.Point3f, upload_points(points.normal), point)
@@ -60,14 +68,14 @@ def reflected_arrivals(
     local = mi.warp.square_to_cosine_hemisphere(_two(random))
     direction = mi.Frame3f(normal).to_world(local)
     ray = mi.Ray3f(lifted(position, normal, position + direction), direction)
-    throughput = mi.Float(dr.pi / _RAYS)
+    throughput = mi.Float(dr.opaque(mi.Float, float(np.pi / rays)))
     travelled, active = mi.Float(0), mi.Bool(True)
     found: list[tuple[mi.Float, mi.Float]] = []
     for _ in range(extra_bounces):
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         travelled += dr.select(active, si.t, 0)
-        on_object = on_shapes(si, hidden_shapes(scene))
+        on_object = on_shapes(si, hidden_shapes(scene) if shapes is None else list(shapes))
         for emitter in scene.emitters():
             radiance, opl = _over_the_wall(scene, emitter, si, random, active & on_object)
             found.append((side * throughput * radiance, opl + travelled))
@@ -79,7 +87,7 @@ def reflected_arrivals(
         direction = si.to_world(sample.wo)
         ray = mi.Ray3f(lifted(si.p, si.n, si.p + direction), direction)
     dr.eval(found)
-    shape = (len(points.position), rays)
+    shape = (len(points.position), both)
     parts = [[np.array(values).reshape(shape) for values in pair] for pair in found]
     return np.hstack([part[0] for part in parts]), np.hstack([part[1] for part in parts])
 

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from itof import phase_per_metre
+from render.transport.lights.arrivals import OVER_THE_WALL, Incoming, arrivals
 from render.transport.lights.hidden_surface import (
     HiddenSurface,
     HiddenSurfaceError,
     SurfacePoints,
     joined,
     sample_surface,
-    sobol_points,
     spread_evenly,
 )
 
@@ -124,7 +124,13 @@ class Lights:
         return np.repeat(reached[:, -1:] / count, count, axis=1).astype(np.float32), opl_m
 
 
-def light_density(scene: mi.Scene, surface: HiddenSurface, seed: int) -> NDArray[np.float64]:
+class NoLightError(HiddenSurfaceError):
+    """No light reaches a surface."""
+
+
+def light_density(
+    scene: mi.Scene, surface: HiddenSurface, seed: int, incoming: Incoming = OVER_THE_WALL
+) -> NDArray[np.float64]:
     """Where to place surface points: (S,) relative density of points in S stretches of the surface.
 
     Most of the density is proportional to the light from the wall, which a pilot with few wall points
@@ -133,14 +139,15 @@ def light_density(scene: mi.Scene, surface: HiddenSurface, seed: int) -> NDArray
 
     Raises
     ------
-    HiddenSurfaceError : no light from the wall reaches the hidden objects, or light that is not finite.
+    NoLightError : no light from the wall reaches the hidden objects.
+    HiddenSurfaceError : light that is not finite does.
     """
     pilot = spread_evenly(surface, _STRETCHES * _PILOT_POINTS)
-    lit = np.abs(_arrivals(scene, pilot, _PILOT_WALL_POINTS, seed)[0]).sum(axis=1)
+    lit = np.abs(arrivals(scene, pilot, _PILOT_WALL_POINTS, seed, incoming)[0]).sum(axis=1)
     if not np.isfinite(lit).all():
         raise HiddenSurfaceError("the light on the hidden objects is not finite: check the emitters")
     if not lit.any():
-        raise HiddenSurfaceError(
+        raise NoLightError(
             "no hidden object can be seen from the lit relay wall: widen the gap that the middle wall "
             "leaves, or move the objects"
         )
@@ -158,6 +165,7 @@ def make_lights(
     wall_points: int,
     seeds: Sequence[int],
     max_bounces: int = 3,
+    incoming: Incoming = OVER_THE_WALL,
 ) -> Lights:
     """Lights of independent runs: at `count` surface points each, with light from `wall_points` wall points.
 
@@ -173,84 +181,13 @@ def make_lights(
     """
     points = joined(sample_surface(surface, count, seed, density) for seed in seeds)
     wall_seed, ray_seed = (int(n) for n in np.random.SeedSequence([*seeds, 0]).generate_state(2))
-    irradiance, opl_m = _arrivals(scene, points, wall_points, wall_seed)
+    irradiance, opl_m = arrivals(scene, points, wall_points, wall_seed, incoming)
     if max_bounces > 3:
         from render.transport.lights.interreflection import reflected_arrivals
 
         more = reflected_arrivals(scene, points, max_bounces - 3, ray_seed)
         irradiance, opl_m = np.hstack([irradiance, more[0]]), np.hstack([opl_m, more[1]])
     return _thinned(_two_sided(points, irradiance, opl_m, len(seeds)), ray_seed)
-
-
-def _arrivals(
-    scene: mi.Scene, points: SurfacePoints, wall_points: int, seed: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Irradiance and OPL (M, K) of the light that each point gets from the wall; K: wall points x emitters.
-
-    A wall point that receives the flux Φ sends E = Φ f cos a cos b / d², where f cos a is the BSDF of the
-    wall times the cosine there. E is positive on the side of the normal and negative on the other side.
-    """
-    parts = [
-        _arrivals_of(scene, emitter, points, wall_points, seed + number)
-        for number, emitter in enumerate(scene.emitters())
-    ]
-    return np.hstack([part[0] for part in parts]), np.hstack([part[1] for part in parts])
-
-
-def _arrivals_of(
-    scene: mi.Scene, emitter: mi.Emitter, points: SurfacePoints, wall_points: int, seed: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    import drjit as dr
-    import mitsuba as mi
-
-    from render.transport.kernels.arrays import upload, upload_points
-    from render.transport.kernels.visibility import unoccluded
-
-    count = dr.opaque(mi.UInt32, wall_points)
-    lane = dr.arange(mi.UInt32, len(points.position) * wall_points)
-    point, sample = lane // count, lane % count
-    shift = [dr.gather(mi.Float, upload(column), point) for column in points.shift.T]
-    ray, flux = emitted_rays(emitter, wall_points, seed, sample, shift)
-    wall = scene.ray_intersect(ray)
-    position = dr.gather(mi.Point3f, upload_points(points.position), point)
-    normal = dr.gather(mi.Point3f, upload_points(points.normal), point)
-    gap = position - wall.p
-    distance = dr.norm(gap)
-    direction = gap / distance
-    context = mi.BSDFContext(mi.TransportMode.Importance)
-    reflected = wall.bsdf(ray).eval(context, wall, wall.to_local(direction), wall.is_valid())
-    cosine = -dr.dot(normal, direction)
-    lit = wall.is_valid() & (dr.max(reflected) > 0)
-    lit = unoccluded(scene, wall.p, wall.n, position, normal, lit)
-    irradiance = dr.select(lit, (flux * reflected).x * cosine / dr.square(distance), 0)
-    opl = dr.select(lit, wall.t + distance, 0)
-    dr.eval(irradiance, opl)
-    shape = (len(points.position), wall_points)
-    return np.array(irradiance).reshape(shape), np.array(opl).reshape(shape)
-
-
-def emitted_rays(
-    emitter: mi.Emitter, count: int, seed: int, sample: mi.UInt32, shift: Sequence[mi.Float] = ()
-) -> tuple[mi.Ray3f, mi.Spectrum]:
-    """Rays from an emitter along scrambled Sobol points, and the flux of each ray, W.
-
-    Parameters
-    ----------
-    count : size of the Sobol set.
-    seed : of the scrambling.
-    sample : which point of the set each lane takes.
-    shift : four numbers in [0, 1) for each lane, added to the point modulo 1.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    from render.transport.kernels.arrays import upload
-
-    u = [dr.gather(mi.Float, upload(column), sample) for column in sobol_points(4, count, seed).T]
-    u = [value + move for value, move in zip(u, shift, strict=True)] if shift else u
-    u = [dr.minimum(value - dr.floor(value), 1 - 2**-24) for value in u]
-    ray, weight = emitter.sample_ray(0.0, 0.0, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
-    return mi.Ray3f(ray), weight / dr.opaque(mi.Float, count)
 
 
 def _two_sided(
