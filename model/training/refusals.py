@@ -123,6 +123,8 @@ def refuse_preset(
     camera, lens = settings.augmentation.camera, preset.camera
     if problem is None and not sample_scene(preset, 0).has_flash:
         problem = f"{source} has a projector of its own: networks know only a flash at the camera"
+    if problem is None and sample_scene(preset, 0).room_reflects:
+        problem = f"{source} has a [room] that reflects, which fresh scenes have not: render a dataset of it"
     if problem is None and settings.input.bounce_images and not preset.is_one_corner:
         problem = f"{source} is of many corners (camera_spread): take --channels residual+wall"
     if problem is None and camera is not None:

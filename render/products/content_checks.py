@@ -83,9 +83,10 @@ def wrong_phasors(image: Image, frequencies_hz: tuple[float, ...]) -> Iterator[s
     if found_hz != frequencies_hz:
         yield f"{MEASUREMENT_FILE} has phasors at {found_hz} Hz instead of {frequencies_hz}"
     elif has_part(image, "hidden"):
-        parts = image.phasors("direct")[0] + image.phasors("hidden")[0]
+        names = [name for name in ("direct", "hidden", "room") if has_part(image, name)]
+        parts = sum(image.phasors(name)[0] for name in names)
         if np.abs(total - parts).max() > _FLOAT_ROUNDING * np.abs(total).max():
-            yield f"{MEASUREMENT_FILE}: direct and hidden part do not add up to the total"
+            yield f"{MEASUREMENT_FILE}: {' and '.join(names)} part do not add up to the total"
 
 
 def has_part(image: Image, prefix: str) -> bool:

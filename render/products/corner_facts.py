@@ -12,7 +12,7 @@ import numpy as np
 from scenegen import Preset
 from scenegen.corner_geometry import Frustum, Points, corners_of, distances_m, lit_points, local
 from scenegen.depth_range import NO_MESHES, boxes, largest_mirrored_depth_m, largest_radius_m
-from scenegen.sampling import projector_of, walls_of
+from scenegen.sampling import projector_of, room_of, walls_of
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
 
@@ -29,7 +29,7 @@ class CornerFacts:
     region_m : smallest and largest distance of hidden objects' centres from the relay wall.
     radius_m : largest distance of a point of an object from its centre.
     farthest_m : largest distance of an object's mirror image from the camera.
-    relay_wall, middle_wall, nothing : shares of the image.
+    relay_wall, middle_wall, room, nothing : shares of the image; `room` is floor, ceiling and back wall.
     lit_m : extents of the part of the relay wall that is seen and lit: along its own x and y; 0 if none is.
     """
 
@@ -40,6 +40,7 @@ class CornerFacts:
     farthest_m: float
     relay_wall: float
     middle_wall: float
+    room: float
     nothing: float
     lit_m: tuple[float, float]
 
@@ -50,14 +51,16 @@ class CornerFacts:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The facts as text."""
-        shares = (f"{100 * part:.0f} %" for part in (self.relay_wall, self.middle_wall, self.nothing))
+        parts = {"show the relay wall": self.relay_wall, "the middle wall": self.middle_wall}
+        parts |= ({"the rest of the room": self.room} if self.room else {}) | {"nothing": self.nothing}
+        shares = ", ".join(f"{100 * part:.0f} % {what}" for what, part in parts.items())
         gap = f"the gap between the walls is {self.gap_m:.2f} m wide"
         if self.gap_m < _TOUCHES_M:
             gap = f"the middle wall reaches {-self.gap_m:.2f} m behind the plane of the relay wall"
         if abs(self.gap_m) < _TOUCHES_M:
             gap = "the middle wall touches the plane of the relay wall"
         return (
-            "of the image, {} show the relay wall, {} the middle wall, {} nothing".format(*shares),
+            f"of the image, {shares}",
             f"the camera is {self.camera_m:z.2f} m from the relay wall",
             "{:.2f} x {:.2f} m of the relay wall are seen and lit".format(*self.lit_m),
             gap,
@@ -73,9 +76,9 @@ def corner_facts(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -
     camera = preset.camera
     view = Frustum.of_camera(camera)
     rays = view.rays()
-    depths = np.stack([view.hits(relay, rays), view.hits(middle, rays)])  # (2, N)
+    depths = np.stack([view.hits(wall, rays) for wall in (relay, middle, *room_of(preset))])  # (2 to 5, N)
     first, sees = depths.argmin(axis=0), np.isfinite(depths).any(axis=0)
-    shares = [float((sees & (first == wall)).mean()) for wall in (0, 1)]
+    shares = [float((sees & (np.minimum(first, 2) == wall)).mean()) for wall in (0, 1, 2)]
     lit = lit_points(camera, projector_of(preset, camera), relay, middle)
     x_m, y_m = np.ptp(local(relay, lit)[:, :2], axis=0) if len(lit) else (0.0, 0.0)
     region = distances_m(relay, region_box(preset))
@@ -87,6 +90,7 @@ def corner_facts(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -
         farthest_m=largest_mirrored_depth_m(preset, meshes),
         relay_wall=shares[0],
         middle_wall=shares[1],
+        room=shares[2],
         nothing=float(1 - sees.mean()),
         lit_m=(float(x_m), float(y_m)),
     )

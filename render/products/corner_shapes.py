@@ -11,9 +11,10 @@ from render.products.corner_facts import CornerFacts, region_box
 from scenegen import Preset
 from scenegen.corner_geometry import Frustum, Points, corners_of, distances_m, lit_points
 from scenegen.pose import wall_normal
-from scenegen.sampling import projector_of, walls_of
+from scenegen.sampling import projector_of, room_of, walls_of
 
 RELAY, MIDDLE, LIT, CAMERA, HIDDEN = "#4477aa", "#222222", "#ddaa00", "#228833", "#cc3311"
+ROOM = "#888888"
 _SHOWN: Final = 1500  # lit points
 _WALL: Final = ((0, 1, 2, 3),)
 _PYRAMID: Final = ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1))
@@ -39,7 +40,7 @@ class CornerShapes:
 
     Attributes
     ----------
-    solids : walls, hidden region, and field of view as far as the relay wall.
+    solids : walls, what reflects of the room, hidden region, and field of view as far as the relay wall.
     lit : (N, 3) some points of the relay wall that are seen and lit.
     eye : (3,) the camera.
     distances : ends (2, 3) and texts of the distances from the relay wall: of the camera, of the middle wall
@@ -55,6 +56,7 @@ class CornerShapes:
     def of(cls, preset: Preset, facts: CornerFacts) -> CornerShapes:
         """Those of the corner of a preset."""
         relay, middle = walls_of(preset)
+        room = {wall.name.replace("_", " "): corners_of(wall) for wall in room_of(preset)}
         view, eye = Frustum.of_camera(preset.camera), np.array(preset.camera.location_m)
         rays = view.corner_rays()
         reach = view.hits(relay, rays)
@@ -71,6 +73,10 @@ class CornerShapes:
             solids=(
                 Solid("relay wall", RELAY, corners_of(relay), _WALL, filled=False, width=3),
                 Solid("middle wall", MIDDLE, corners, _WALL, filled=False, width=3),
+                *(
+                    Solid(wall.name.replace("_", " "), ROOM, corners_of(wall), _WALL)
+                    for wall in room_of(preset)
+                ),
                 Solid("reach of hidden objects", HIDDEN, far_box, _BOX, filled=False, dotted=True),
                 Solid("centres of hidden objects", HIDDEN, box, _BOX),
                 Solid("field of view", CAMERA, seen, _PYRAMID, width=0.8),

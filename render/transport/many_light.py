@@ -115,8 +115,13 @@ class LightWorkshop:
         """
         return cls(scene, surface, light_density(scene, surface, view.seed, incoming), view, incoming)
 
-    def exposure(self, options: ManyLightOptions) -> ManyLightExposure:
+    def exposure(self, options: ManyLightOptions, most_pairs: int | None = None) -> ManyLightExposure:
         """The measurement of the scene.
+
+        Parameters
+        ----------
+        most_pairs : of a light and a node of a lattice over the film; its error counts. None: no limit, and
+            an image without a lattice where none is fine enough.
 
         Raises
         ------
@@ -127,13 +132,17 @@ class LightWorkshop:
             lights, found = self.chosen(options)
         except ValueError as error:
             raise SceneError(f"the hidden signal cannot be estimated ({error}): {USE_PATH}") from None
+        most_nodes = layout.width * layout.height * hidden_rule(layout.width).count
+        if most_pairs is not None:
+            most_nodes = min(most_nodes, most_pairs // max(1, len(lights)))
         field = make_field(
             self.scene,
             lights,
             self.view.frequencies_hz,
             found,
-            most_nodes=layout.width * layout.height * hidden_rule(layout.width).count,
+            most_nodes=max(most_nodes, len(found.lattice.nodes) + 1),
             wanted=wanted,
+            settles=most_pairs is not None,
         )
         log.debug("%d lights of %d runs, %s", len(lights), lights.runs, field.lattice)
         wanted = field.error if wanted is None else wanted

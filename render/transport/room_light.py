@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 
 BOUNCES = 3
 _RELAY_WALL = "relay_wall"
-_LEAST_ERROR, _MOST_ERROR = 5e-4, 0.3  # of the light of one set of lights
+_LEAST_ERROR, _MOST_ERROR = 6e-3, 0.3  # of the light of one set of lights
+_MOST_PAIRS = 2**26  # of lights and nodes of a lattice
+_OF_PIXELS = 0.1  # error of the mean over pixels that cannot be interpolated, for which nodes are added
 _STREAM = 2**31  # of random numbers, beside those of images and trials
 
 
@@ -88,7 +90,9 @@ def room_light(
             workshop = LightWorkshop.of(scene, surface, view, incoming)
         except NoLightError:
             continue
-        exposure = workshop.exposure(_options(options, workshop, strength, grid))
+        exposure = workshop.exposure(_options(options, workshop, strength, grid), _MOST_PAIRS)
+        exposure = replace(exposure, wanted=_OF_PIXELS)
+        vars(exposure)["direct_image"] = image  # the same
         found = exposure.phasors()
         phasors += found.hidden
         missed = np.hypot(missed, (found.error or 0.0) * np.linalg.norm(found.hidden, axis=(0, 1)))

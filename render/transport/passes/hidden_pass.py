@@ -221,6 +221,7 @@ def make_field(
     *,
     most_nodes: int,
     wanted: float | None,
+    settles: bool = False,
 ) -> HiddenField:
     """The hidden signal by a set of lights, on a lattice that is as fine as the wanted error needs.
 
@@ -233,6 +234,7 @@ def make_field(
     runs : the hidden signal at the nodes of the coarsest lattice, by the same lights.
     most_nodes : number of points that an exact image takes.
     wanted : error relative to the hidden signal; None takes the random error of the lights.
+    settles : whether the finest lattice is taken with what error it has, in place of an exact image.
     """
     random, nothing = runs.error, np.zeros(0, complex)
     everywhere = HiddenField(scene, lights, frequencies_hz, None, nothing, nothing.astype(bool), 0, random)
@@ -255,7 +257,8 @@ def make_field(
         missed = common_part(between - exact[:, inside], np.linalg.norm(exact.mean(axis=0), axis=0))
         finer = lattice.halved()
         is_last = len(finer.nodes) >= most_nodes
-        if inside.any() and np.all(missed <= max(share, left if is_last else left / 2**0.5)):
+        is_enough = np.all(missed <= max(share, left if is_last else left / 2**0.5))
+        if inside.any() and (is_enough or (settles and is_last)):
             error = float(np.hypot(random, missed).max())
             mean = ratio.mean(axis=0)
             return HiddenField(scene, lights, frequencies_hz, lattice, mean, valid, surface, error)
