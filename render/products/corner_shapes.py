@@ -73,10 +73,7 @@ class CornerShapes:
             solids=(
                 Solid("relay wall", RELAY, corners_of(relay), _WALL, filled=False, width=3),
                 Solid("middle wall", MIDDLE, corners, _WALL, filled=False, width=3),
-                *(
-                    Solid(wall.name.replace("_", " "), ROOM, corners_of(wall), _WALL)
-                    for wall in room_of(preset)
-                ),
+                *(Solid(name, ROOM, points, _WALL, filled=False) for name, points in room.items()),
                 Solid("reach of hidden objects", HIDDEN, far_box, _BOX, filled=False, dotted=True),
                 Solid("centres of hidden objects", HIDDEN, box, _BOX),
                 Solid("field of view", CAMERA, seen, _PYRAMID, width=0.8),

@@ -94,7 +94,8 @@ class ManyLight:
 class LightWorkshop:
     """Makes sets of lights for one measurement, for trials and for the image.
 
-    `surface` is that of the lights, and `incoming` the light that they get.
+    `surface` is that of the lights, `incoming` the light that they get, and `most_points` their most points in
+    each of the runs that decide their number.
     """
 
     scene: mi.Scene
@@ -102,6 +103,7 @@ class LightWorkshop:
     density: NDArray[np.float64]
     view: View
     incoming: Incoming = OVER_THE_WALL
+    most_points: int = _MOST_POINTS
 
     @classmethod
     def of(
@@ -159,10 +161,10 @@ class LightWorkshop:
         for trial in itertools.count(1):
             error = self.evaluated(count, RUNS, trial)[1].error
             needed = needed_points(count, error, _MARGIN * options.error)
-            if needed <= 4 * count or count >= _MOST_POINTS:
+            if needed <= 4 * count or count >= self.most_points:
                 break
             count *= 4
-        needed = min(max(needed, _FEWEST_POINTS), _MOST_POINTS)
+        needed = min(max(needed, _FEWEST_POINTS), self.most_points)
         # Powers of two make the most even points; the number of runs makes up for the rest.
         count = 2 ** int(np.log2(needed))
         runs = int(np.ceil(RUNS * needed / count))
@@ -170,7 +172,7 @@ class LightWorkshop:
         wanted = _FOR_LIGHTS * options.error
         # The trial was lucky. More of the same hardly lower the estimate of the error, which all runs give.
         stream = 0
-        while found.error > wanted and lights.runs * count < RUNS * _MOST_POINTS:
+        while found.error > wanted and lights.runs * count < RUNS * self.most_points:
             if needed_points(count, found.error, wanted) > _REFINED * count:
                 stream, count = stream - 1, 2 * count
                 lights, found = self.evaluated(count, RUNS, stream)

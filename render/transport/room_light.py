@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 BOUNCES = 3
 _RELAY_WALL = "relay_wall"
-_LEAST_ERROR, _MOST_ERROR = 6e-3, 0.3  # of the light of one set of lights
+_LEAST_ERROR, _MOST_ERROR = 6e-3, 1.0  # of the light of one set of lights
+_MOST_POINTS = 2**12  # of a run: more help little where a surface in view touches the relay wall
 _MOST_PAIRS = 2**26  # of lights and nodes of a lattice
 _OF_PIXELS = 0.1  # error of the mean over pixels that cannot be interpolated, for which nodes are added
 _STREAM = 2**31  # of random numbers, beside those of images and trials
@@ -87,7 +88,7 @@ def room_light(
         if surface is None:
             continue
         try:
-            workshop = LightWorkshop.of(scene, surface, view, incoming)
+            workshop = replace(LightWorkshop.of(scene, surface, view, incoming), most_points=_MOST_POINTS)
         except NoLightError:
             continue
         exposure = workshop.exposure(_options(options, workshop, strength, grid), _MOST_PAIRS)
