@@ -94,8 +94,8 @@ class ManyLight:
 class LightWorkshop:
     """Makes sets of lights for one measurement, for trials and for the image.
 
-    `surface` is that of the lights, `incoming` the light that they get, and `most_points` their most points in
-    each of the runs that decide their number.
+    `surface` is that of the lights, `incoming` the light that they get, and `most_points` the most points of
+    a run.
     """
 
     scene: mi.Scene
