@@ -65,7 +65,7 @@ def main() -> None:
             found = predictor.predict(z[None], fields_of_view_deg=[fov_deg])[0]
             metrics = image_metrics(found.depth, found.mask, depth_m, depth_m > 0)
             errors.setdefault(name, []).append(metrics)
-    print("| measurement | room / hidden light | MAE, cm | mIoU |\n|---|---|---|---|")
+    print("| measurement | room / hidden light | MAE, cm | mIoU | object MAE, cm |\n|---|---|---|---|---|")
     for name, metrics in errors.items():
         ratio = f"{np.median(ratios[name]):.2f}" if name in ratios else ""
         print(f"| {name} | {ratio} | {' | '.join(summary_cells(summarise(metrics)))} |")

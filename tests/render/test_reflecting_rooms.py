@@ -107,8 +107,8 @@ def transfer(points, others, normal, other_normal):
 
 def test_the_light_of_an_empty_room_is_a_sum_over_its_patches(corner, rendered):
     # Wall, floor or middle wall, wall: both integrals by Gauss nodes. Those of the lit wall that the middle
-    # wall hides do not count. Its edge crosses one of eight columns of pixels, with five columns of nodes each.
-    # Half a column too much or too little is 1 / 80 of the light.
+    # wall hides do not count. Its edge crosses one of eight columns of pixels, of five columns of nodes
+    # each. Half a column too much or too little is 1 / 80 of the light.
     scene_id = empty_id(corner)
     scene, image = corner.scene(scene_id), rendered[scene_id]
     room, hz = image.phasors("room")
