@@ -196,7 +196,7 @@ def test_what_a_room_makes_impossible_is_refused(corner):
     (cube,) = scene.hidden_objects
     sunk = replace(scene, hidden_objects=(replace(cube, location_m=(1.15, 0.9, 0.1)),))
     assert refusal(scene) is None
-    assert refusal(sunk) == "hidden_object_0 reaches through the floor"
+    assert refusal(sunk) == "cube (hidden_object_0) reaches through the floor"
     for given in ({"product": "both"}, {"product": "itof", "max_bounces": 4}):
         settings = settings_for(corner, {"device": "cpu", "method": "many-light"} | given)
         with pytest.raises(RenderError, match=r"its room reflects .* only --method path renders"):
