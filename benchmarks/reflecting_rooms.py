@@ -31,8 +31,9 @@ from render.transport.method import View
 from scenegen import Preset, Scene, load_preset
 from scenegen.geometry_check import refusal
 from scenegen.making.blender import BlenderMaker
+from scenegen.possible_scenes import sample_valid_scene
 from scenegen.preset import RoomSettings
-from scenegen.sampling import room_of, sample_valid_scene, walls_of
+from scenegen.sampling import room_of, walls_of
 from scenegen.scene import EMPTY
 
 ERROR = 0.03  # of the light, relative to the hidden light
