@@ -16,7 +16,7 @@ from disk.path_like import PathLike
 
 _WRITE_ERRORS = frozenset({ENOSPC, EDQUOT, EFBIG, EIO, EROFS})  # without a name when a write raises them
 _OCCUPIED = frozenset({ENOTEMPTY, EEXIST, ENOTDIR})  # what renaming to a name in use raises
-_TOGETHER = "files"  # name of temporary folders whose files belong together
+TOGETHER = "files"  # name of temporary folders whose files belong together
 _ATTEMPTS = 100  # at a name that other processes keep taking
 _MOST_UNWRITTEN = 2**16  # bytes that a library writes only when it closes a file, and more
 
@@ -50,9 +50,9 @@ def whole_file(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
         partial = folder / final.name
         yield partial
         _allow_what_umask_allows(partial)
-        _sync(partial)
+        sync(partial)
         partial.replace(final)
-        _sync(final.parent)
+        sync(final.parent)
 
 
 @contextmanager
@@ -87,10 +87,10 @@ def whole_folder(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
         yield new
         for entry in new.rglob("*"):
             if not entry.is_symlink():
-                _sync(entry)
-        _sync(new)
+                sync(entry)
+        sync(new)
         _put_in_place(new, final)
-        _sync(final.parent)
+        sync(final.parent)
 
 
 @contextmanager
@@ -107,8 +107,8 @@ def whole_files(path: PathLike, before: Callable[[], None] = lambda: None) -> It
     """
     final = _with_name(path)
     _make_folder(final)
-    remove_leftovers(final, _TOGETHER)
-    with partial_folder(final / _TOGETHER) as folder:
+    remove_leftovers(final, TOGETHER)
+    with partial_folder(final / TOGETHER) as folder:
         try:
             yield folder
         except OSError as error:
@@ -124,7 +124,7 @@ def whole_files(path: PathLike, before: Callable[[], None] = lambda: None) -> It
         for file in files:
             if file.exists():  # `before` may have moved it
                 file.replace(final / file.name)
-        _sync(final)
+        sync(final)
 
 
 def write_text(path: PathLike, text: str) -> None:
@@ -160,7 +160,7 @@ def _make_folder(folder: Path) -> None:
     except FileExistsError:
         raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), str(folder)) from None
     for made in reversed(missing):
-        _sync(made.parent)
+        sync(made.parent)
 
 
 @contextmanager
@@ -208,7 +208,8 @@ def _allow_what_umask_allows(file: Path) -> None:
             file.chmod(mode | wanted)
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Wait until the bytes of a file, or the names in a folder, are on disk; errors have its name."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from disk import remove_leftovers, sha256_of, whole_file, whole_files
+from disk import whole_file, whole_files
+from disk.sealed_files import SealedFiles, write_sealed
 from itof import (
     DepthMap,
     MeasurementMatrix,
@@ -21,15 +22,14 @@ from itof import (
     TransientWriter,
     compressing_with_threads,
     phasor_channels,
-    write_image,
 )
 from itof.exr.image import FIELD_OF_VIEW, PROJECTOR
 from render.backend import drjit_threads, select_variant, versions
 from render.batch.light import BOUNCES, SceneLight, suits
 from render.batch.scene_lights import SceneLights
-from render.earlier_renders import forget_earlier, is_damaged
 from render.edited_scenes import edited_attributes, is_edited, refuse_edited, refuse_measured, refuse_unlike
 from render.options import BatchedOptions
+from render.render_files import begin, finish, image_file, record_of
 from render.room_layer import refuse_room, room_layer
 from render.settings import RenderError, RenderSettings
 from render.transport.lights.hidden_surface import HiddenSurfaceError
@@ -45,18 +45,16 @@ from scenegen import (
     IMAGE_FILES,
     MEASUREMENT_FILE,
     MIRRORED_TRANSIENT_FILE,
+    RECORD_FILE,
     TRANSIENT_FILE,
     TRANSIENT_FILES,
     Dataset,
-    FileRecord,
     RenderRecord,
     Scene,
-    forget_bad_render,
-    read_record,
-    remove_failure,
     write_record,
 )
 from scenegen.mitsuba_description import mirrored_description, seen_description
+from scenegen.render_folder import record_text
 from scenegen.scene_folder import digest_of, read_scene_folder, scene_of
 
 _Result = TypeVar("_Result")
@@ -125,12 +123,15 @@ class Renderer:
             compressing_with_threads(drjit_threads()),
         ):
             sources = [_result(self._read, scene_id) for scene_id in scene_ids]
-            lights = self._lights([each for each in sources if isinstance(each, _Source)])
+            found = [each for each in sources if isinstance(each, _Source)]
+            done = self._written(found, self._lights(found))
             for source in sources:
-                if isinstance(source, _Source):
-                    yield _result(self._render, source, lights.get(source.scene.id))
-                else:
+                if not isinstance(source, _Source):
                     yield source
+                elif (result := done.get(source.scene.id)) is not None:
+                    yield result
+                else:
+                    yield _result(self._render, source)
 
     def _lights(self, sources: Sequence[_Source]) -> dict[str, SceneLight]:
         """The batched engine's light of scenes, by id: exact enough, and some of it hidden or none at all."""
@@ -151,37 +152,44 @@ class Renderer:
     def _is_edited(self, source: _Source) -> bool:
         return is_edited(self.dataset, source.scene.id, source.digest)
 
-    def _render(self, source: _Source, light: SceneLight | None) -> RenderRecord:
+    def _written(
+        self, sources: Sequence[_Source], lights: Mapping[str, SceneLight]
+    ) -> dict[str, RenderRecord | Exception]:
+        """Write the files of scenes that have light, together; return the record or error of each, by id."""
+        done: dict[str, RenderRecord | Exception] = {}
+        made: list[tuple[SealedFiles, RenderRecord]] = []
+        for source in (each for each in sources if each.scene.id in lights):
+            result = _result(self._light_files, source, lights[source.scene.id])
+            if isinstance(result, Exception):
+                done[source.scene.id] = result
+            else:
+                made.append(result)
+        for (files, record), error in zip(made, write_sealed([each for each, _ in made]), strict=True):
+            if error is None:
+                finish(files.folder, record)
+            done[files.folder.name] = error or record
+        return done
+
+    def _render(self, source: _Source) -> RenderRecord:
+        folder, attributes, forget = self._begun(source)
+        with whole_files(folder, before=forget) as stage:
+            measured = self._render_measurement(source, attributes, stage)
+            self._render_mirrored(source, attributes, stage)
+        names = (*TRANSIENT_FILES, *IMAGE_FILES)
+        record = record_of(measured, {n: folder / n for n in names if (folder / n).is_file()})
+        write_record(folder, record)
+        finish(folder, record)
+        return record
+
+    def _begun(self, source: _Source) -> tuple[Path, dict[str, str], Callable[[], None]]:
+        """Render folder of a scene, attributes of its files, and what forgets the earlier render."""
         scene_id = source.scene.id
         folder = self.dataset.render_folder(scene_id)
         recipe = self.settings.recipe(self.dataset, source.digest)
-        forget = partial(forget_earlier, folder, "" if self.settings.wants_transients else recipe)
-        earlier = read_record(folder)
-        if earlier is None or earlier.recipe != recipe or is_damaged(folder, earlier):
-            forget()
-        if folder.is_dir():
-            remove_leftovers(folder)  # of any file: the folder is ours
-        remove_failure(folder)
+        forget = begin(folder, recipe, keeps_transients=not self.settings.wants_transients)
         edited = edited_attributes(self.dataset, scene_id, source.digest)
         own = {} if source.scene.has_flash else {PROJECTOR: "own"}
-        attributes = {**self._attributes(source.scene), **own, **edited, "recipe": recipe}
-        with whole_files(folder, before=forget) as stage:
-            if light is None:
-                measured = self._render_measurement(source, attributes, stage)
-                self._render_mirrored(source, attributes, stage)
-            else:
-                measured = self._write_light(source, light, attributes, stage)
-        names = (*TRANSIENT_FILES, *IMAGE_FILES)
-        files = {name: folder / name for name in names if (folder / name).is_file()}
-        record = RenderRecord(
-            recipe=recipe,
-            attributes={name: text for name, text in measured.items() if name != "recipe"},
-            files={n: FileRecord(bytes=f.stat().st_size, sha256=sha256_of(f)) for n, f in files.items()},
-        )
-        write_record(folder, record)
-        remove_failure(folder)  # another command may have given the scene up meanwhile
-        forget_bad_render(folder, record)
-        return record
+        return folder, {**self._attributes(source.scene), **own, **edited, "recipe": recipe}, forget
 
     def _read(self, scene_id: str) -> _Source:
         refuse_measured(self.dataset)
@@ -215,51 +223,44 @@ class Renderer:
         if self.settings.wants_transients:
             binned = self._write_rows(exposure, folder / TRANSIENT_FILE, attributes, exact is None)
         if exact is not None:
-            return self._write_parts(source, exact.direct, exact.hidden, attributes, folder)
-        if binned is None:
+            parts, more = self._parts(source, exact.direct, exact.hidden)
+            attributes |= more
+        elif binned is not None:
+            parts = {"itof": binned}
+        else:
             what, rows = f"scene {scene.id}: the measurement", exposure.lit_rows()
-            binned = self._phi(rows.bins).apply_streaming(_finite(rows.blocks, what))
-        self._write_phasors({"itof": binned}, attributes, folder)
+            parts = {"itof": self._phi(rows.bins).apply_streaming(_finite(rows.blocks, what))}
+        self._write(folder / MEASUREMENT_FILE, self._channels(parts), attributes)
         return attributes
 
-    def _write_light(
-        self, source: _Source, light: SceneLight, attributes: dict[str, str], folder: Path
-    ) -> dict[str, str]:
-        """Write phasors and ground truth of the engine; return the attributes of these files."""
+    def _light_files(self, source: _Source, light: SceneLight) -> tuple[SealedFiles, RenderRecord]:
+        """Phasors, ground truth and record of the engine's light."""
+        folder, attributes, forget = self._begun(source)
         made = {"method": BatchedOptions.method, "hidden_error": f"{light.error:.3g}"}
         attributes = {**attributes, **made, "seed": str(source.scene.seed)}
-        attributes = self._write_parts(source, light.direct, light.hidden, attributes, folder)
+        parts, more = self._parts(source, light.direct, light.hidden)
+        attributes |= more
         depth_m = light.radial_depth_m.astype(np.float64)
         truth = DepthMap.of_object(depth_m, depth_m > 0, self.frequencies_hz[0])
-        self._write(folder / GROUND_TRUTH_FILE, truth.channels(), attributes)
-        return attributes
+        files = {
+            MEASUREMENT_FILE: image_file(MEASUREMENT_FILE, self._channels(parts), attributes),
+            GROUND_TRUTH_FILE: image_file(GROUND_TRUTH_FILE, truth.channels(), attributes),
+        }
+        record = record_of(attributes, files)
+        return SealedFiles(folder, files, (RECORD_FILE, record_text(record).encode()), forget), record
 
-    def _write_parts(
-        self,
-        source: _Source,
-        direct: NDArray[np.complexfloating],
-        hidden: NDArray[np.complexfloating],
-        attributes: dict[str, str],
-        folder: Path,
-    ) -> dict[str, str]:
-        """Write the phasors of the light of a black room with those of the room; return their attributes."""
+    def _parts(
+        self, source: _Source, direct: NDArray[np.complexfloating], hidden: NDArray[np.complexfloating]
+    ) -> tuple[dict[str, NDArray[np.complexfloating]], dict[str, str]]:
+        """The light of a black room with that of the room, by prefix, and attributes of the latter."""
         parts = {"itof": direct + hidden, "direct": direct, "hidden": hidden}
         scene, method = source.scene, self._method
-        if scene.room_reflects and isinstance(method, ManyLight):
-            view = self._view(BOUNCES, scene.seed)
-            room = room_layer(scene, source.files, source.folder, method, view, hidden)
-            parts |= {"itof": parts["itof"] + room.phasors, "room": room.phasors}
-            attributes = {**attributes, "room_error": f"{room.error:.3g}"}
-        self._write_phasors(parts, attributes, folder)
-        return attributes
-
-    def _write_phasors(
-        self, parts: Mapping[str, NDArray[np.complexfloating]], attributes: dict[str, str], folder: Path
-    ) -> None:
-        channels: dict[str, NDArray[np.float32]] = {}
-        for prefix, phasor in parts.items():
-            channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
-        self._write(folder / MEASUREMENT_FILE, channels, attributes)
+        if not scene.room_reflects or not isinstance(method, ManyLight):
+            return parts, {}
+        view = self._view(BOUNCES, scene.seed)
+        room = room_layer(scene, source.files, source.folder, method, view, hidden)
+        parts |= {"itof": parts["itof"] + room.phasors, "room": room.phasors}
+        return parts, {"room_error": f"{room.error:.3g}"}
 
     def _render_mirrored(self, source: _Source, attributes: dict[str, str], folder: Path) -> None:
         scene = source.scene
@@ -311,12 +312,15 @@ class Renderer:
     def _write(
         self, path: Path, channels: dict[str, NDArray[np.float32]], attributes: dict[str, str]
     ) -> None:
-        if not all(np.isfinite(values).all() for values in channels.values()):
-            raise RenderError(
-                f"scene {attributes['scene_id']}: {path.name} has NaN or infinite pixels: it was not written"
-            )
         with whole_file(path) as written:
-            write_image(written, channels, attributes)
+            written.write_bytes(image_file(path.name, channels, attributes))
+
+    def _channels(self, parts: Mapping[str, Any]) -> dict[str, NDArray[np.float32]]:
+        """EXR channels of (H, W, F) phasors, by prefix."""
+        channels: dict[str, NDArray[np.float32]] = {}
+        for prefix, phasor in parts.items():
+            channels |= phasor_channels(phasor, self.frequencies_hz, prefix)
+        return channels
 
     def _attributes(self, scene: Scene) -> dict[str, str]:
         return {

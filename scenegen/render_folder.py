@@ -97,6 +97,10 @@ class BadRender:
         return (self.recipe, self.files) == (record.recipe, record.files)
 
 
+_RECORD, _FAILURE = TypeAdapter(RenderRecord), TypeAdapter(FailureRecord)
+_BAD = TypeAdapter(BadRender)
+
+
 def read_recipe(recipe: str) -> dict[str, Any]:
     """Contents of a recipe; an empty dictionary if the text is not a recipe."""
     try:
@@ -108,13 +112,17 @@ def read_recipe(recipe: str) -> dict[str, Any]:
 
 def read_record(folder: PathLike) -> RenderRecord | None:
     """Record of a render folder; None when it is missing or damaged."""
-    return _read(TypeAdapter(RenderRecord), Path(folder, RECORD_FILE))
+    return _read(_RECORD, Path(folder, RECORD_FILE))
+
+
+def record_text(record: RenderRecord) -> str:
+    """Contents of ``render.json``."""
+    return _text(_RECORD, record)
 
 
 def write_record(folder: PathLike, record: RenderRecord) -> None:
     """Write ``render.json``, complete or not at all."""
-    text = TypeAdapter(RenderRecord).dump_json(record, indent=1).decode()
-    write_text(Path(folder, RECORD_FILE), text + "\n")
+    write_text(Path(folder, RECORD_FILE), _text(_RECORD, record))
 
 
 def difference(file: Path, expected: FileRecord) -> str | None:
@@ -135,14 +143,13 @@ def difference(file: Path, expected: FileRecord) -> str | None:
 
 def read_failure(folder: PathLike) -> FailureRecord | None:
     """Failure record of a render folder; None when it is missing or damaged."""
-    return _read(TypeAdapter(FailureRecord), Path(folder, FAILURE_FILE))
+    return _read(_FAILURE, Path(folder, FAILURE_FILE))
 
 
 def write_failure(folder: PathLike, failure: FailureRecord, log: str) -> None:
     """Write ``failure.log`` and ``failure.json``, each complete or not at all."""
     write_text(Path(folder, FAILURE_LOG), log)
-    text = TypeAdapter(FailureRecord).dump_json(failure, indent=1).decode()
-    write_text(Path(folder, FAILURE_FILE), text + "\n")
+    write_text(Path(folder, FAILURE_FILE), _text(_FAILURE, failure))
 
 
 def remove_failure(folder: PathLike) -> None:
@@ -153,13 +160,12 @@ def remove_failure(folder: PathLike) -> None:
 
 def read_bad_render(folder: PathLike) -> BadRender | None:
     """The bad render that a render folder remembers; None when ``bad.json`` is missing or damaged."""
-    return _read(TypeAdapter(BadRender), Path(folder, BAD_FILE))
+    return _read(_BAD, Path(folder, BAD_FILE))
 
 
 def write_bad_render(folder: PathLike, bad: BadRender) -> None:
     """Write ``bad.json``, complete or not at all."""
-    text = TypeAdapter(BadRender).dump_json(bad, indent=1).decode()
-    write_text(Path(folder, BAD_FILE), text + "\n")
+    write_text(Path(folder, BAD_FILE), _text(_BAD, bad))
 
 
 def forget_bad_render(folder: PathLike, record: RenderRecord) -> None:
@@ -175,3 +181,7 @@ def _read(adapter: TypeAdapter[Contents], file: Path) -> Contents | None:
     except (OSError, ContractError):
         return None
     return contents
+
+
+def _text(adapter: TypeAdapter[Contents], contents: Contents) -> str:
+    return adapter.dump_json(contents, indent=1).decode() + "\n"

@@ -3,8 +3,9 @@
 Layout (docs/reference/files.md): named FLOAT channels of H x W. Phasors are ``<prefix>.<f>MHz.Re`` and
 ``.Im``. Transients are in `itof.exr.transient`.
 
-All files have lossless compression (ZIPS: one scanline per block) and float32 values. Every attribute is
-text: OpenEXR would store a number as float32, and 0.01 would be read as 0.00999999978.
+All files have float32 values and lossless compression (ZIPS: one scanline per block), but renders of phasors
+have none. Every attribute is text: OpenEXR would store a number as float32, and 0.01 would be read as
+0.00999999978.
 
 Writers write to the final path. Use `disk.whole_file` where an incomplete file must not appear.
 """
@@ -23,8 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from disk.frequency_text import exact_megahertz
 from disk.machine_memory import memory_shortage
+from itof.exr.encoding import image_bytes
 from itof.exr.header import ImageFileError
-from itof.exr.library import ExrInput, ExrOutput
+from itof.exr.library import ExrInput
 
 FIELD_OF_VIEW = "horizontal_fov_deg"  # attribute of images; an array of other measurement files
 PROJECTOR = "projector"  # attribute of measurements whose light is no flash at the camera
@@ -81,26 +83,24 @@ def phasor_channels(
 
 
 def write_image(
-    path: str | os.PathLike[str], channels: Mapping[str, ArrayLike], attributes: Mapping[str, str]
+    path: str | os.PathLike[str],
+    channels: Mapping[str, ArrayLike],
+    attributes: Mapping[str, str],
+    *,
+    packed: bool = True,
 ) -> None:
-    """Write named (H, W) channels as float32.
+    """Write named (H, W) channels as float32 (`itof.exr.encoding.image_bytes`).
 
     Raises
     ------
-    OSError : the file cannot be written.
+    OSError : the file cannot be written; the error has its name.
     ValueError : channels of different shapes, or not of two dimensions.
     """
-    pixels = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in channels.items()}
-    shapes = {values.shape for values in pixels.values()}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        raise ValueError(f"all channels of an image have one shape (H, W), got {sorted(shapes)}")
-    height, width = next(iter(shapes))
-    file, is_complete = ExrOutput(Path(path), (width, height), list(pixels), attributes), False
+    content = image_bytes(channels, attributes, packed=packed)
     try:
-        file.write(pixels, height)
-        is_complete = True
-    finally:
-        file.close(complete=is_complete)
+        Path(path).write_bytes(content)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def read_image(path: str | os.PathLike[str], *, advice: str = "", copies: int = _COPIES) -> Image:

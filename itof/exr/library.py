@@ -1,4 +1,4 @@
-"""OpenEXR: files are written and read through this module, the only one that imports the library.
+"""OpenEXR: files are read and transients are written through this module, the only one that imports it.
 
 A file is opened for reading only after `itof.exr.header` has checked its structure, so that a damaged or
 hostile file is refused and cannot crash the process. What OpenEXR prints is discarded, and each of its errors
@@ -21,10 +21,10 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from disk.whole_writing import errno_of_writing
+from itof.exr.encoding import ATTRIBUTE_PREFIX
 from itof.exr.header import ImageFileError, UnsupportedImageError, read_structure
 from processes import silenced
 
-ATTRIBUTE_PREFIX = "night."
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
 _ERRORS_OF_WRITING = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS, errno.ENOENT, errno.ENOTDIR),

@@ -43,8 +43,8 @@ class Claim:
         counts = _counts(os.pread(self.descriptor, _MOST_BYTES, 0))
         counts[run_id] = counts.get(run_id, 0) + 1
         latest = dict(list(counts.items())[-_MOST_RUNS:])
-        os.ftruncate(self.descriptor, 0)
-        os.pwrite(self.descriptor, json.dumps(latest).encode(), 0)
+        # Cut only afterwards: ext4 writes an emptied file to disk when it is closed, also if it is deleted.
+        os.ftruncate(self.descriptor, os.pwrite(self.descriptor, json.dumps(latest).encode(), 0))
         return counts[run_id]
 
     def forget(self) -> None:

@@ -163,11 +163,12 @@ def _rendered(
 
 def _known(job: Job, scene_id: str, claim: Claim, renderer: Renderer, inventory: Inventory) -> Outcome | None:
     """The answer about a scene that this job does not render; None if it renders it, and has begun."""
-    state = inventory.state(scene_id)
+    folder = renderer.dataset.render_folder(scene_id)
+    state = inventory.state(scene_id) if folder.is_dir() else "missing"
     if state == "done":
         claim.forget()
         return Outcome(scene_id, "present")
-    failure = read_failure(renderer.dataset.render_folder(scene_id))
+    failure = read_failure(folder)
     if job.given_up_counts and state == "failed" and failure is not None:
         return Outcome(scene_id, "failed", failure.reason, final=True)
     if claim.begin(job.run_id) > MAX_ATTEMPTS:  # the scheduler sent it again after its worker died

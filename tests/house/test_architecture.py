@@ -58,12 +58,12 @@ WINGS = {
         *("render.backend", "render.walls", "render.transport.kernels", "render.transport.lights"),
     },
     "render.edited_scenes": {"render.settings"},
-    "render.earlier_renders": set(),
+    "render.render_files": {"render.settings"},
     "render.room_layer": {
         *("render.transport", "render.transport.method", "render.transport.lights", "render.settings"),
     },
     "render.rendering": {
-        *("render.room_layer", "render.earlier_renders"),
+        *("render.room_layer", "render.render_files"),
         *("render.transport.method", "render.transport.lights", "render.transport.passes"),
         *("render.transport", "render.batch", "render.edited_scenes", "render.settings", "render.backend"),
         "render.options",

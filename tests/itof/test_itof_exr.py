@@ -1,8 +1,10 @@
 """EXR files: what is written is read back, in blocks, and what is damaged is said to be so."""
 
+import Imath
 import numpy as np
 import OpenEXR
 import pytest
+from exr_bytes import end_of_header
 
 from itof import (
     MOST_WRITTEN_BYTES,
@@ -177,3 +179,29 @@ def test_a_missing_file_and_a_foreign_one_are_refused(tmp_path, transient_file, 
 def _read_all(path):
     with TransientReader(path) as reader:
         return list(reader.row_blocks())
+
+
+def test_the_bytes_of_an_image_are_those_that_openexr_writes(tmp_path):
+    channels = {
+        "b.Im": np.random.default_rng(0).normal(size=(7, 300)).astype(np.float32),
+        "a.Re": np.indices((7, 300))[0].astype(np.float32),
+        "a channel with a name of more than 31 bytes": np.zeros((7, 300), np.float32),
+    }
+    texts = {"method": "test", "empty": "", "unit": "µm"}
+    for packed, method in ((False, OpenEXR.NO_COMPRESSION), (True, OpenEXR.ZIPS_COMPRESSION)):
+        write_image(tmp_path / "own.exr", channels, texts, packed=packed)
+        header = OpenEXR.Header(300, 7) | {f"night.{name}": text.encode() for name, text in texts.items()}
+        header["channels"] = {
+            name: Imath.Channel(Imath.PixelType(Imath.PixelType.FLOAT)) for name in channels
+        }
+        header["compression"] = Imath.Compression(method.value)
+        file = OpenEXR.OutputFile(str(tmp_path / "theirs.exr"), header)
+        file.writePixels({name: values.tobytes() for name, values in channels.items()}, 7)
+        file.close()
+        own, theirs = ((tmp_path / f"{name}.exr").read_bytes() for name in ("own", "theirs"))
+        alike = end_of_header(own) if packed else len(own)  # Python's deflate is not that of OpenEXR
+        assert own[:alike] == theirs[:alike]
+        with OpenEXR.File(str(tmp_path / "own.exr"), separate_channels=True) as read:
+            for name, values in channels.items():
+                np.testing.assert_array_equal(read.channels()[name].pixels, values)
+    assert len(own) < 0.5 * 3 * 4 * 7 * 300  # two of three channels hardly take room
