@@ -10,7 +10,7 @@ from errno import EISDIR
 from pathlib import Path
 
 from disk.partials import partial_folder, remove_leftovers
-from disk.whole_writing import TOGETHER, sync
+from disk.whole_writing import TOGETHER, make_folder, sync
 
 _AT_ONCE = 64  # sets that wait for the disk together
 
@@ -21,7 +21,7 @@ class SealedFiles:
 
     Attributes
     ----------
-    folder : made if it is missing, but not its parents; other files in it stay.
+    folder : made if it is missing; other files in it stay.
     files : contents by name.
     seal : name and contents.
     before : called when all files are written, before the first one gets its name. It removes an older seal.
@@ -44,20 +44,24 @@ def write_sealed(sets: Sequence[SealedFiles]) -> list[OSError | None]:
     good = [number for number, error in enumerate(errors) if error is None]
     if not good:
         return errors
-    for parent in {sets[number].folder.parent for number in good}:
-        sync(parent)
     first = sets[good[0]].folder
-    remove_leftovers(first, TOGETHER)
-    with partial_folder(first / TOGETHER) as stage, ThreadPoolExecutor(min(_AT_ONCE, len(good))) as pool:
-        places = [stage / str(number) for number in good]
-        found = pool.map(_written, [sets[number] for number in good], places)
-        for number, error in zip(good, found, strict=True):
-            errors[number] = error
+    try:
+        for parent in {sets[number].folder.parent for number in good}:
+            sync(parent)
+        remove_leftovers(first, TOGETHER)
+        with partial_folder(first / TOGETHER) as stage, ThreadPoolExecutor(min(_AT_ONCE, len(good))) as pool:
+            places = [stage / str(number) for number in good]
+            found = pool.map(_written, [sets[number] for number in good], places)
+            for number, error in zip(good, found, strict=True):
+                errors[number] = error
+    except OSError as error:  # of the temporary folder: nothing can be written
+        return [each or error for each in errors]
     return errors
 
 
 def _made(folder: Path) -> OSError | None:
     try:
+        make_folder(folder.parent)
         folder.mkdir(exist_ok=True)
     except OSError as error:
         return error

@@ -43,7 +43,7 @@ def whole_file(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
     final = _with_name(path)
     if final.is_dir() and not final.is_symlink():
         raise IsADirectoryError(EISDIR, os.strerror(EISDIR), str(final))
-    _make_folder(final.parent)
+    make_folder(final.parent)
     if sweep:
         remove_leftovers(final.parent, final.name)
     with partial_folder(final) as folder, _naming(final, folder):
@@ -78,7 +78,7 @@ def whole_folder(path: PathLike, *, sweep: bool = True) -> Iterator[Path]:
     """
     final = _with_name(path)
     _refuse_irreplaceable(final)
-    _make_folder(final.parent)
+    make_folder(final.parent)
     if sweep:
         remove_leftovers(final.parent, final.name)
     with partial_folder(final) as folder, _naming(final, folder):
@@ -106,7 +106,7 @@ def whole_files(path: PathLike, before: Callable[[], None] = lambda: None) -> It
     before : called when all files are written, before the first one is moved.
     """
     final = _with_name(path)
-    _make_folder(final)
+    make_folder(final)
     remove_leftovers(final, TOGETHER)
     with partial_folder(final / TOGETHER) as folder:
         try:
@@ -152,7 +152,7 @@ def _refuse_irreplaceable(path: Path) -> None:
         raise PermissionError(EACCES, os.strerror(EACCES), str(path))
 
 
-def _make_folder(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
     """Make a folder and its missing parents, so that they also survive a power failure."""
     missing = [parent for parent in (folder, *folder.parents) if not parent.exists()]
     try:

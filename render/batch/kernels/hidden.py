@@ -84,6 +84,7 @@ def sent(real: list[mi.Float], imaginary: list[mi.Float], reflecting: mi.Float) 
 
     `reflecting` is the area of each point times its reflectance.
     """
+    dr.eval(real, imaginary)  # once: each scatter is a kernel of its own
     count = len(real)
     index = dr.arange(mi.UInt32, dr.width(reflecting)) * (2 * count)
     power = dr.zeros(mi.Float, 2 * count * dr.width(reflecting))

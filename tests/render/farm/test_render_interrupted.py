@@ -102,13 +102,13 @@ def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(t
 
 
 def test_a_dataset_deleted_while_a_file_is_written_is_not_taken_for_a_full_disk(three_missing, monkeypatch):
-    write = rendering.write_image
+    encoded = rendering.image_bytes
 
-    def delete_and_write(*given):
+    def delete_and_encode(*given, **options):
         three_missing.rename(three_missing.with_name("gone"))
-        write(*given)
+        return encoded(*given, **options)
 
-    monkeypatch.setattr(rendering, "write_image", delete_and_write)
+    monkeypatch.setattr(rendering, "image_bytes", delete_and_encode)
     monkeypatch.setattr(jobs, "_state", {})
     settings = RenderSettings(options=ManyLightOptions(error=0.05), device="cpu")
     job = jobs.Job(str(three_missing), settings, ("000004",), run_id="a")
