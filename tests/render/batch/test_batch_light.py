@@ -69,6 +69,21 @@ def drawn(preset, count, seed):
     return [sample_valid_scene(preset, index, refusal) for index in range(count)]
 
 
+def test_the_sums_over_film_and_surface_run_once_for_all_frequencies():
+    import drjit as dr
+
+    scenes = drawn(load_preset("paper"), 2, seed=1)
+    for frequencies_hz in (HZ[:1], HZ):
+        engine = BatchedLight(frequencies_hz, WIDTH, HEIGHT, error=1.0, device="cpu")  # of one round
+        engine.images(scenes)  # makes the tables of rough walls
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            dr.kernel_history_clear()
+            engine.images(scenes)
+            kernels = dr.kernel_history()
+        # Two sums over two sets of nodes, direct return, depth; smaller kernels write numbers into tables.
+        assert sum((each.get("operation_count") or 0) > 200 for each in kernels) == 6
+
+
 @pytest.mark.parametrize("index", range(7))
 def test_the_light_is_that_of_the_renderer_to_the_wanted_error(images, rendered, index):
     hidden, direct = rendered[index][0].hidden, rendered[index][0].direct
