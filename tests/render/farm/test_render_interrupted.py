@@ -24,7 +24,7 @@ from render_runs import (
 )
 from small_disk import small_disk
 
-from render import rendering
+from render import render_files
 from render.farm import jobs
 from render.farm.claims import claimed
 from render.options import ManyLightOptions
@@ -102,13 +102,13 @@ def test_a_dataset_deleted_while_it_is_rendered_ends_the_run_and_stays_deleted(t
 
 
 def test_a_dataset_deleted_while_a_file_is_written_is_not_taken_for_a_full_disk(three_missing, monkeypatch):
-    encoded = rendering.image_bytes
+    encoded = render_files.image_bytes
 
     def delete_and_encode(*given, **options):
         three_missing.rename(three_missing.with_name("gone"))
         return encoded(*given, **options)
 
-    monkeypatch.setattr(rendering, "image_bytes", delete_and_encode)
+    monkeypatch.setattr(render_files, "image_bytes", delete_and_encode)
     monkeypatch.setattr(jobs, "_state", {})
     settings = RenderSettings(options=ManyLightOptions(error=0.05), device="cpu")
     job = jobs.Job(str(three_missing), settings, ("000004",), run_id="a")
