@@ -184,7 +184,9 @@ def _predict_all(
                 about = attributes | {"image": name}
                 found, own_m = _refined(predictor, predictions[index], batch[index], measured, refiner, name)
                 one = found.depth_map
-                (light,) = predictor.explained_light(batch[index][None], [one], measured.reference)
+                (light,) = predictor.explained_light(
+                    batch[index][None], [one], measured.reference, thorough=True
+                )
                 wall = check.walls[start + index]
                 image = _write(folder, name, one, wall, light, predictor, about)
                 image = replace(image, expected_mae_m=own_m, explanation=found.explanation)
