@@ -27,7 +27,7 @@ _WEAK: Final = 2e-3  # of the direct return: as much hidden light as there may b
 _SIGMAS: Final = 5.0  # of the energy of noise: less light tells nothing
 # Chosen by benchmarks/foreign_measurements.py: good answers explain more than half where noise is low.
 SHARE_REFUSED: Final = 0.02
-SHARE_NOTED: Final = 0.3
+SHARE_NOTED: Final = 0.2
 LEAST_LIGHT: Final = 1e-4  # of the direct return; scenes of the presets have 3e-4 to 4e-3
 MOST_LIGHT: Final = 0.03
 
