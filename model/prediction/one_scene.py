@@ -38,8 +38,8 @@ _LIT, _BLOCKS = 80, 200  # pixels, about, that light the patches; blocks of pixe
 # What is left for other reasons: of the energy, and of the direct return of a rough wall.
 _SHARE_LEFT: Final = 1e-4
 _LIGHT_LEFT: Final = 2e-5
-# Gains that are told: at the lowest frequency, because more surfaces explain the narrow band of the others, and
-# elsewhere. Of 120 scenes of the presets judge and judge-any-corner, seed 21, none has more.
+# Gains that are told: at the lowest frequency, because more surfaces explain the narrow band of the others,
+# and elsewhere. Of 120 scenes of the presets judge and judge-any-corner, seed 21, none has more.
 _LOWEST_GAIN: Final = 6.5
 _GAIN: Final = 4.5
 
