@@ -123,7 +123,7 @@ def tell(predictor: Predictor, name: str, images: Images, *, captured: bool = Fa
         found = list(checked.findings)
         if not any(each.refused for each in found):
             prediction = seen.predict(z[None], reference, rescale=True)
-            (light,) = seen.explained_light(z[None], prediction, reference)
+            (light,) = seen.explained_light(z[None], prediction, reference, thorough=True)
             objects += bool(prediction.mask.any())
             if light is not None:
                 found += light.findings(shows_object=bool(prediction.mask.any()))

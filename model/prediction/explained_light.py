@@ -9,7 +9,7 @@ because the brightness of the object and of the wall's lobe are not known.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,13 +20,14 @@ from itof.arrays import Bools, Floats, Phasors
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.finding import Finding
 from model.network.channels import InputSpec
+from model.prediction.one_scene import other_scene
 from model.prediction.surface_light import surface_light
 
 _WEAK: Final = 2e-3  # of the direct return: as much hidden light as there may be
 _SIGMAS: Final = 5.0  # of the energy of noise: less light tells nothing
 # Chosen by benchmarks/foreign_measurements.py: good answers explain more than half where noise is low.
 SHARE_REFUSED: Final = 0.02
-SHARE_NOTED: Final = 0.3
+SHARE_NOTED: Final = 0.2
 LEAST_LIGHT: Final = 1e-4  # of the direct return; scenes of the presets have 3e-4 to 4e-3
 MOST_LIGHT: Final = 0.03
 
@@ -42,12 +43,16 @@ class ExplainedLight:
     hideable : strength of the light that this noise would hide.
     share : part of its energy that the predicted surface explains, at most 1; 0 without an object; None if
         noise hides it.
+    other_scene : which part of the image holds light of another scene, in words
+        (`model.prediction.one_scene`);
+        empty if none does, or if it was not looked for.
     """
 
     strength: float
     noise: float
     hideable: float
     share: float | None
+    other_scene: str = ""
 
     @property
     def words(self) -> str:
@@ -71,6 +76,9 @@ class ExplainedLight:
             words = f"what is not the wall's light is {strength}, far more than hidden light is: a camera "
             words += "that is not calibrated, a bright room, or parts of several measurements?"
             is_doubtful, refused = True, shows_object and share < SHARE_REFUSED
+        elif self.other_scene and share >= SHARE_REFUSED:
+            words = f"{self.other_scene}: parts of several measurements?"
+            is_doubtful = True
         elif shows_object:
             words = (
                 f"the object that the network shows explains {100 * share:.0f} % of the light that is not "
@@ -91,7 +99,12 @@ def _per_mille(strength: float) -> str:
 
 
 def explained_light(
-    inputs: InputSpec, phasor: ArrayLike, wall: ExpectedWall, prediction: DepthMap
+    inputs: InputSpec,
+    phasor: ArrayLike,
+    wall: ExpectedWall,
+    prediction: DepthMap,
+    *,
+    thorough: bool = False,
 ) -> ExplainedLight:
     """Compare the hidden light of an image (H, W, F) with that of its prediction.
 
@@ -99,6 +112,7 @@ def explained_light(
     ----------
     inputs : of a network with residual channels.
     wall : as `Predictor.predict` takes it, with the computed or captured return.
+    thorough : also look for parts of other scenes, which takes a tenth of a second.
     """
     z = np.asarray(phasor, dtype=np.complex128)
     measured, direct = _light(inputs, z, wall)
@@ -111,7 +125,10 @@ def explained_light(
     if energy <= count * hideable:
         return ExplainedLight(0.0, *known, None)
     share = 0.0
-    hidden = surface_light(np.asarray(prediction.radial_depth_m, np.float64), prediction.mask, wall)
+    there = wall
+    if inputs.self_calibrates:
+        there = replace(wall, plane_per_m=np.asarray(inputs.fit_of(z[None], wall).plane_per_m)[0])
+    hidden = surface_light(np.asarray(prediction.radial_depth_m, np.float64), prediction.mask, there)
     largest = float(np.abs(hidden).max())
     if largest > 0:
         weak = _WEAK * float(np.abs(direct).max()) / largest * hidden
@@ -119,7 +136,8 @@ def explained_light(
         model = model * used
         along = float((measured * model).sum())
         share = max(along, 0.0) ** 2 / float((model**2).sum()) / energy
-    return ExplainedLight(float(np.sqrt(energy / count)), *known, min(share, 1.0))
+    other = other_scene(measured, direct, there, prediction) if thorough else ""
+    return ExplainedLight(float(np.sqrt(energy / count)), *known, min(share, 1.0), other)
 
 
 def hidden_light(inputs: InputSpec, phasor: ArrayLike, wall: ExpectedWall) -> Floats:

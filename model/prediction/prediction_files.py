@@ -41,8 +41,8 @@ from processes.progress import showing_progress
 
 # 1 had no `ignored`, `wall`, `findings`; 2 no plane of the wall; 3 no `reference_wall`; 4 no field of view;
 # 5 no uncertainty of the wall, no `light`; 6 no `hideable` light; 7 no `explanation`; 8 one solid; 9 one
-# field of view for all images, and errors that were expected in spite of findings.
-PREDICTION_SCHEMA: Final = 10
+# field of view for all images, and errors that were expected in spite of findings; 10 no `other_scene`.
+PREDICTION_SCHEMA: Final = 11
 RECORD: Final = "prediction.json"
 
 
@@ -184,7 +184,9 @@ def _predict_all(
                 about = attributes | {"image": name}
                 found, own_m = _refined(predictor, predictions[index], batch[index], measured, refiner, name)
                 one = found.depth_map
-                (light,) = predictor.explained_light(batch[index][None], [one], measured.reference)
+                (light,) = predictor.explained_light(
+                    batch[index][None], [one], measured.reference, thorough=True
+                )
                 wall = check.walls[start + index]
                 image = _write(folder, name, one, wall, light, predictor, about)
                 image = replace(image, expected_mae_m=own_m, explanation=found.explanation)

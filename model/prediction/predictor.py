@@ -169,17 +169,20 @@ class Predictor:
         reference: ArrayLike | None = None,
         *,
         fields_of_view_deg: Sequence[float] = (),
+        thorough: bool = False,
     ) -> tuple[ExplainedLight | None, ...]:
         """How much of the hidden light of images (N, H, W, F) their predictions explain.
 
-        None for a network without residual channels. The other arguments are those of `predict`, whose errors
-        it has.
+        None for a network without residual channels. `thorough` is that of `explained_light`, the other
+        arguments are those of `predict`, whose errors it has.
         """
         images = np.asarray(phasors)
         views = [self.at(self.config.geometry.with_fov(fov_deg)) for fov_deg in fields_of_view_deg]
         walls = [one.wall_of(None) for one in views] or [self.wall_of(reference)] * len(images)
         return tuple(
-            None if wall is None else explained_light(self.config.inputs, image, wall, predictions[place])
+            None
+            if wall is None
+            else explained_light(self.config.inputs, image, wall, predictions[place], thorough=thorough)
             for place, (image, wall) in enumerate(zip(images, walls, strict=True))
         )
 

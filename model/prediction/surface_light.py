@@ -34,31 +34,50 @@ def surface_light(radial_depth_m: Floats, mask: Bools, wall: ExpectedWall) -> Ph
     rays, plane = np.asarray(wall.rays), np.asarray(wall.plane_per_m)
     normal = plane / np.linalg.norm(plane)  # away from the camera
     points, normals, area = _patches(radial_depth_m, mask, rays)
-    points = points - 2 * ((points @ plane - 1) / (plane @ plane))[:, None] * plane
+    points = mirrored(points, plane)
     normals = normals - 2 * (normals @ normal)[:, None] * normal
-    depth_m = np.asarray(wall.radial_depth_m)
-
-    def ways(step: int) -> tuple[Floats, Floats]:
-        """Both cosines over the square of the distance to every point, and the way from the camera."""
-        there = depth_m[::step, ::step].reshape(-1)
-        meets = np.isfinite(there)
-        there = np.where(meets, there, 1.0)
-        apart = points - (rays[::step, ::step].reshape(-1, 3) * there[:, None])[:, None]  # (n, P, 3)
-        distance_m = np.linalg.norm(apart, axis=-1)
-        from_wall = np.maximum(-(apart @ normal), 0.0)
-        to_wall = np.maximum(-np.einsum("npk,pk->np", apart, normals), 0.0)
-        return meets[:, None] * from_wall * to_wall / distance_m**4, distance_m + there[:, None]
-
     lit_step, step = (max(1, math.isqrt(mask.size // count)) for count in (_LIT, _SEEN))
-    (lit, lit_m), (seen, seen_m) = ways(lit_step), ways(step)
+    (lit, lit_m), (seen, seen_m) = (
+        ways(points, normals, wall, (slice(None, None, every),) * 2) for every in (lit_step, step)
+    )
     found = []
     for slope in phase_per_metre(wall.frequencies_hz):
         at_surface = (lit * np.exp(1j * slope * lit_m)).sum(axis=0) * area
         found.append((seen * np.exp(1j * slope * seen_m)) @ at_surface)
     height, width = mask.shape
-    coarse = np.stack(found, axis=-1).reshape(*depth_m[::step, ::step].shape, -1)
+    coarse = np.stack(found, axis=-1).reshape(-(-height // step), -(-width // step), len(found))
     fine: Phasors = coarse.repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
     return fine
+
+
+def ways(
+    points: Floats, normals: Floats, wall: ExpectedWall, pixels: tuple[slice, slice]
+) -> tuple[Floats, Floats]:
+    """Ways between P patches (P, 3) and the n wall points that some rows and columns of pixels see.
+
+    Returns
+    -------
+    (n, P) both cosines over the square of the distance, 1/m², 0 where a ray misses the wall; and (n, P) the
+    length of the way from the camera over the wall to the patch, metres.
+    """
+    normal = np.asarray(wall.plane_per_m) / np.linalg.norm(wall.plane_per_m)  # away from the camera
+    there = np.asarray(wall.radial_depth_m)[pixels].reshape(-1)
+    meets = np.isfinite(there)
+    there = np.where(meets, there, 1.0)
+    rays = np.asarray(wall.rays)[pixels].reshape(-1, 3)
+    apart = points - (rays * there[:, None])[:, None]  # (n, P, 3)
+    distance_m = np.linalg.norm(apart, axis=-1)
+    from_wall = np.maximum(-(apart @ normal), 0.0)
+    to_wall = np.maximum(-np.einsum("npk,pk->np", apart, normals), 0.0)
+    return meets[:, None] * from_wall * to_wall / distance_m**4, distance_m + there[:, None]
+
+
+def mirrored(points: Floats, plane_per_m: Floats) -> Floats:
+    """Points (P, 3) in camera axes, reflected in the plane of a wall."""
+    image: Floats = (
+        points - 2 * ((points @ plane_per_m - 1) / (plane_per_m @ plane_per_m))[:, None] * plane_per_m
+    )
+    return image
 
 
 def _patches(radial_depth_m: Floats, mask: Bools, rays: Floats) -> tuple[Floats, Floats, Floats]:

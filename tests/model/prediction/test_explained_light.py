@@ -7,6 +7,7 @@ from wall_measurements import expected_wall_of, noise, phasors_of
 from itof import DepthMap
 from model.prediction.explained_light import ExplainedLight, explained_light
 from model.prediction.predictor import load
+from model.prediction.surface_light import surface_light
 from scenegen import open_dataset
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -43,6 +44,28 @@ def test_light_of_two_scenes_at_different_frequencies_is_not_explained(scenes):
     mixed = np.concatenate([other[..., :1], one[..., 1:]], axis=-1)
     # No derivation: nothing says how much the light of two objects has in common. The truth explains more.
     assert explained_light(inputs, mixed, wall, truth).share < 0.5
+
+
+def test_a_part_of_another_scene_is_named_and_one_scene_has_none(scenes):
+    """Of renders, and of the light of two surfaces on the same wall, which differ in nothing else."""
+    inputs, wall, images = scenes
+    assert not any(explained_light(inputs, z, wall, one, thorough=True).other_scene for z, one in images)
+    truths = [truth for _, truth in images[:2]]
+    lights = [surface_light(np.float64(each.radial_depth_m), each.mask, wall) for each in truths]
+    largest = np.abs(wall.direct).max()
+    alike = [wall.direct + 2e-3 * largest / np.abs(light).max() * light for light in lights]
+    for one, other in ([z for z, _ in images[:2]], alike):
+        half = one.shape[1] // 2
+        mixtures = {
+            "": one,
+            "the light at 20 MHz is not": np.concatenate([other[..., :1], one[..., 1:]], axis=-1),
+            "the light at 60 MHz is not": np.concatenate([one[..., :2], other[..., 2:]], axis=-1),
+            "the left and the right": np.concatenate([other[:, :half], one[:, half:]], axis=1),
+        }
+        for words, z in mixtures.items():
+            told = explained_light(inputs, z, wall, truths[0], thorough=True).other_scene
+            assert words in told
+            assert bool(words) == bool(told)
 
 
 def test_without_an_object_nothing_is_explained_and_noise_is_no_light(scenes):
