@@ -4,8 +4,8 @@ The hidden light of a scene is a sum over its surfaces with weights that are not
 frequencies and in all pixels: in every pixel, the phasors are the Fourier transform of a measure of path
 lengths that is nowhere negative. Patches on a lattice about the predicted surface, which face the wall, stand
 for the surfaces. Nonnegative least squares finds their weights, beside the plane of the wall and the phase
-offsets, which the self-calibration takes from the light. Less than 1 % of the energy is left of the light of
-one scene. If a part comes from another scene, no weights explain the whole, although they explain the rest:
+offsets, which the self-calibration takes from the light. Of the light of one scene, they leave about 0.1 % of
+the energy. If a part comes from another scene, no weights explain the whole, although they explain the rest:
 
     at frequency f:    gain = min over g of R(without g) / R(without f),    for three frequencies or more
     in half of it:     gain = R(all) / (R(one half) + R(other half))
