@@ -53,7 +53,7 @@ def test_the_kernel_integrates_the_b_spline_over_the_cell(variant, widths):
 def compared(scene, variant, layout):
     """Bins (P, T) of some pixels without edges, the same by brute force, and phasors (P, F) without bins."""
     exposure = corner.expose(scene, variant, layout=layout, max_bounces=1)
-    image, grid, rule = exposure._direct, Grid(layout.width, layout.height), gauss_rule(NODES)
+    image, grid, rule = exposure.direct_image, Grid(layout.width, layout.height), gauss_rule(NODES)
     free = np.setdiff1d(np.flatnonzero(image.surface > 0), image.edges.pixels)
     pixels = np.unique(free[np.linspace(0, len(free) - 1, 40).astype(int)])
     found = np.concatenate(list(exposure.row_blocks())).reshape(-1, layout.bin_count)[pixels].astype(float)

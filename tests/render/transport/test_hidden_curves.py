@@ -25,7 +25,7 @@ def hidden_bins(monkeypatch):
             if not interpolate:
                 patch.setattr(transient_pass, "make_curves", lambda *_: None)
             layout = exposure.view.layout
-            rest = exposure.view, exposure._grid, hidden_rule(layout.width), exposure._direct
+            rest = exposure.view, exposure._grid, hidden_rule(layout.width), exposure.direct_image
             full, empty = (
                 np.concatenate(
                     list(transient_rows(exposure.scene, *rest, field).of_all_bins(layout.bin_count))

@@ -36,7 +36,7 @@ def exact_image(exposure):
     """(H, W, F) hidden phasors with every pixel computed."""
     field = replace(exposure.field, lattice=None)
     return field.image(
-        exposure._grid, hidden_rule(exposure._grid.width), exposure._direct, 0.1 * exposure.wanted
+        exposure._grid, hidden_rule(exposure._grid.width), exposure.direct_image, 0.1 * exposure.wanted
     ).phasors
 
 
@@ -159,7 +159,9 @@ def test_the_hidden_part_of_a_wall_with_texture_or_bumps_is_interpolated_as_well
     # In the transient as well: what an image with the object has more than one without lights.
     phi = MeasurementMatrix(FREQUENCIES_HZ, 1400, 0.01, splat="quadratic")
     dark = replace(exposure, field=None)
-    vars(dark).update(_direct=exposure._direct, _rule=exposure._rule)  # nodes that the hidden part needs
+    vars(dark).update(
+        direct_image=exposure.direct_image, _rule=exposure._rule
+    )  # nodes that the hidden part needs
     with_lights, without = (phi.apply(np.concatenate(list(one.row_blocks()))) for one in (exposure, dark))
     # Phasors and bins have their own nodes, which see other parts of a black texel within a pixel: by no more
     # than the image states.

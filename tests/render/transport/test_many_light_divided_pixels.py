@@ -37,7 +37,7 @@ def of_the_bins(exposure):
 )
 def test_phasors_and_transients_agree_where_the_middle_wall_enters_the_picture(variant, tmp_path, fov_deg):
     exposure = expose(wide_corner(fov_deg).load(tmp_path), variant, lights=512, layout=LAYOUT)
-    edges = exposure._direct.edges
+    edges = exposure.direct_image.edges
     assert len(edges.pixels) == LAYOUT.height  # one column
     exact, binned = exposure.phasors(), of_the_bins(exposure)
     norm = np.linalg.norm(exact.hidden, axis=(0, 1))
@@ -53,7 +53,7 @@ def test_pixels_with_an_edge_are_averages_over_64_by_64_nodes(variant, tmp_path,
     from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
     exposure = expose(wide_corner(fov_deg, roughness).load(tmp_path), variant, lights=64, layout=LAYOUT)
-    image, edges = exposure.phasors(), exposure._direct.edges
+    image, edges = exposure.phasors(), exposure.direct_image.edges
     middles = (np.arange(BRUTE) + 0.5) / BRUTE
     nodes = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
     for pixel in edges.pixels[[0, 7, 17]]:
@@ -74,7 +74,7 @@ def test_the_direct_return_of_a_pixel_with_an_edge_has_the_area_before_it(varian
     from render.transport.passes.direct_samples import direct_phasors_of, sample_direct
 
     exposure = expose(wide_corner(fov_deg).load(tmp_path), variant, lights=16, layout=LAYOUT)
-    image, edges = exposure.phasors(), exposure._direct.edges
+    image, edges = exposure.phasors(), exposure.direct_image.edges
     ray = AXES @ (np.array([GAP_M, 0.0, CAMERA_LOCATION_M[2]]) - CAMERA_LOCATION_M)  # past the edge
     edge_x = (ray[0] / ray[2] / np.tan(np.radians(fov_deg) / 2) + 1) / 2 * LAYOUT.width  # in pixels
     column = int(edge_x)
@@ -97,7 +97,7 @@ def test_the_hidden_part_of_a_wide_picture_agrees_with_every_pixel_computed(vari
     found = exposure.phasors().hidden
     field = replace(exposure.field, lattice=None)
     exact = field.image(
-        exposure._grid, hidden_rule(LAYOUT.width), exposure._direct, 0.1 * exposure.wanted
+        exposure._grid, hidden_rule(LAYOUT.width), exposure.direct_image, 0.1 * exposure.wanted
     ).phasors
     # A quarter for the lattice, and half as much again for a whole image (test_lattice_scenes).
     assert np.all(relative(found, exact) < 0.25 * exposure.error * 1.5)
@@ -111,9 +111,9 @@ def test_an_edge_between_the_last_node_and_the_border_of_the_image_is_found(vari
     ray = AXES @ (np.array([0.0, 3.0, CAMERA_LOCATION_M[2]]) - CAMERA_LOCATION_M)
     edge_x = (ray[0] / ray[2] / np.tan(np.radians(36)) + 1) / 2 * layout.width  # in pixels
     assert 7.99 < edge_x < 7.999
-    edges = exposure._direct.edges
+    edges = exposure.direct_image.edges
     np.testing.assert_array_equal(edges.pixels, 8 * np.arange(6) + 7)
-    lit = exposure._direct.edge_samples.radiance > 0
+    lit = exposure.direct_image.edge_samples.radiance > 0
     share = np.bincount(edges.pixel[lit], edges.weights[lit])[edges.pixels]
     np.testing.assert_allclose(share, edge_x - 7, atol=3e-5)  # as in test_edge_pixels
 
@@ -147,7 +147,7 @@ def test_coarser_edges_cost_a_small_part_of_the_wanted_error(variant, tmp_path, 
     coarse = replace(fine, edge_divisions=ManyLightOptions(error=error).edge_divisions)
     exact, found = fine.phasors(), coarse.phasors()
     # One division less is half as many nodes, and some more where edges cross.
-    assert len(coarse._direct.edges.points) < 0.6 * len(fine._direct.edges.points)
+    assert len(coarse.direct_image.edges.points) < 0.6 * len(fine.direct_image.edges.points)
     off = np.linalg.norm(found.total - exact.total, axis=(0, 1))
     # Beside the wanted error, an independent tenth of it changes the sum of squares by 1 %.
     assert np.all(off < error / 10 * np.linalg.norm(exact.hidden, axis=(0, 1)))
@@ -183,7 +183,7 @@ def test_pixels_with_an_edge_have_the_light_of_their_visible_polygons(variant, m
     corner = WITH_EDGES[name](*size)
     exposure = expose(loaded_corner(maker, corner, variant), variant, lights=64, layout=LAYOUT)
     exposure = replace(exposure, wanted=0.005)  # a tenth of it is for the nodes of pixels beside the edge
-    image, direct = exposure.phasors(), exposure._direct
+    image, direct = exposure.phasors(), exposure.direct_image
     *_, pixel, edges = free_nodes(corner, *size, 1, 1)
     np.testing.assert_array_equal(direct.edges.pixels, edges)
     assert len(edges) > 10
@@ -206,7 +206,7 @@ def test_pixels_with_an_edge_have_the_light_of_their_visible_polygons(variant, m
 def test_pixels_beside_an_edge_have_nodes_for_the_shadow_that_falls_into_them(variant, maker):
     corner = random_corner(86, width=LAYOUT.width, height=LAYOUT.height)
     exposure = expose(loaded_corner(maker, corner, variant), variant, lights=256, layout=LAYOUT)
-    image, direct = exposure.phasors(), exposure._direct
+    image, direct = exposure.phasors(), exposure.direct_image
     near = np.zeros(direct.surface.shape, bool)
     near.flat[direct.edges.pixels] = True
     near = np.flatnonzero(binary_dilation(near, iterations=2) & (direct.surface > 0))

@@ -60,7 +60,7 @@ def test_a_ray_that_meets_no_wall_returns_zero(variant, tmp_path, fov_deg, size,
     corner = OddCorner((ball(),), fov_deg=fov_deg, size=size, wall_half_m=wall_half_m, has_middle_wall=False)
     exposure = expose(corner.load(tmp_path), variant, lights=64, layout=layout_of(*size))
     image = exposure.phasors()
-    assert exposure._direct.lit is None  # a flash lights all that the camera sees
+    assert exposure.direct_image.lit is None  # a flash lights all that the camera sees
     transient = np.concatenate(list(exposure.row_blocks()))
     assert np.isfinite(image.error)
     assert np.isfinite(transient).all()
