@@ -18,7 +18,7 @@ from model.run_folder.weights import WEIGHTS_FILE, trained_network
 from model.settings.target import MaskAndDepthTarget
 from model.settings.train_settings import TrainSettings, flat_settings
 from model.training.checkpoint import CHECKPOINT_FILE
-from model.training.finer_pixels import with_finer_pixels
+from model.training.other_pixels import with_other_pixels
 from scenegen import Dataset
 
 
@@ -77,7 +77,7 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
         if settings.predicts_uncertainty and not config.settings.predicts_uncertainty:
             weights |= _new_head(config, settings)
         block = config.settings.network.block
-        weights = with_finer_pixels(weights, block, settings.network.block // block)
+        weights = with_other_pixels(weights, block, settings.network.block)
     name = run.resolve().name[:255]
     origin = StartingWeights(run=name, run_id=config.run_id, sha256=hashlib.sha256(content).hexdigest())
     return Start(config, weights, origin)
@@ -102,10 +102,10 @@ def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path)
             ours = theirs if ours is None else ours
         if key == "target.uncertainty" and ours:
             continue  # its head may be new: it changes nothing else
-        if key == "network.block" and ours and ours % theirs == 0:
-            continue  # `with_finer_pixels` makes the weights fit
+        if key == "network.block" and ours and 0 in (ours % theirs, theirs % ours):
+            continue  # `with_other_pixels` makes the weights fit
         if ours != theirs:
-            multiple = f", give a multiple of {theirs}" if key == "network.block" else ""
+            multiple = f", give a multiple or a part of {theirs}" if key == "network.block" else ""
             raise RunError(
                 f"{key} is {ours}, but {run} was trained with {theirs}: its weights fit no other network; "
                 f"leave the setting out{multiple}, or train from the start"

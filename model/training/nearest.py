@@ -36,7 +36,7 @@ def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
     """The shipped network that knows the frequencies of a preset, images of its shape, and as many corners.
 
     Of several, it is one of the size of the images, or of the largest whole part of it
-    (`model.training.finer_pixels`); one that was trained for a camera, if this one is (`has_sensor`); and the
+    (`model.training.other_pixels`); one that was trained for a camera, if this one is (`has_sensor`); and the
     one with the smallest error.
     """
     camera, hz = preset.camera, preset.itof.frequencies_hz
