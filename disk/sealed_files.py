@@ -37,19 +37,19 @@ def write_sealed(sets: Sequence[SealedFiles]) -> list[OSError | None]:
     """Write sets of files, each in a folder of its own; returns the error of each, None where all is well.
 
     All bytes and names of a set are on disk before its seal gets its name. So neither a killed process nor a
-    power failure leaves a seal without whole files. The files are written in a temporary folder in one of the
-    folders; the sets wait for the disk side by side, and it writes its journal for all of them at once.
+    power failure leaves a seal without whole files. The files are written in a temporary folder beside the
+    first of the folders; the sets wait for the disk side by side, and it writes its journal for all at once.
     """
     errors: list[OSError | None] = [_made(each.folder) for each in sets]
     good = [number for number, error in enumerate(errors) if error is None]
     if not good:
         return errors
-    first = sets[good[0]].folder
+    beside = sets[good[0]].folder.parent
     try:
         for parent in {sets[number].folder.parent for number in good}:
             sync(parent)
-        remove_leftovers(first, TOGETHER)
-        with partial_folder(first / TOGETHER) as stage, ThreadPoolExecutor(min(_AT_ONCE, len(good))) as pool:
+        remove_leftovers(beside, TOGETHER)
+        with partial_folder(beside / TOGETHER) as stage, ThreadPoolExecutor(min(_AT_ONCE, len(good))) as pool:
             places = [stage / str(number) for number in good]
             found = pool.map(_written, [sets[number] for number in good], places)
             for number, error in zip(good, found, strict=True):

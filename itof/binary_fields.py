@@ -75,7 +75,8 @@ def _field(text: str) -> BinaryField:
             "u4, i1, i2, i4, f4, f8, u12, the sides, and stride with the bytes of a row"
         )
     sides = tuple(int(side) for side in (match["sides"] or "").split("x") if side)
-    kind = match["type"] if match["type"] == PACKED else np.dtype(f"<{match['type']}".replace("<>", ">")).str
+    order = "" if match["type"][0] in "<>" else "<"
+    kind = match["type"] if match["type"] == PACKED else np.dtype(order + match["type"]).str
     field = BinaryField(match["name"], kind, sides, 0)
     if 0 in sides or (kind == PACKED and (not sides or sides[-1] % 2)):
         raise ValueError(f"binary.fields has {text!r}: sides are above 0, and rows of u12 are pairs")

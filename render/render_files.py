@@ -37,10 +37,10 @@ def begin(folder: Path, recipe: str, *, keeps_transients: bool) -> Callable[[], 
     What forgets the earlier render: to be called when all new files are written, before one gets its name.
     It deletes the record, and all transients but those that are kept: intact ones recorded for `recipe`.
     """
-    forget = partial(_forget, folder, recipe if keeps_transients else "")
+    earlier = read_record(folder) if folder.is_dir() else None
+    forget = partial(_forget, folder, earlier, recipe if keeps_transients else "")
     if not folder.is_dir():
         return forget
-    earlier = read_record(folder)
     if earlier is None or earlier.recipe != recipe or _is_damaged(folder, earlier):
         forget()
     remove_leftovers(folder)  # of any file: the folder is ours
@@ -75,10 +75,11 @@ def record_of(attributes: Mapping[str, str], files: Mapping[str, Path | bytearra
     )
 
 
-def finish(folder: Path, record: RenderRecord) -> None:
+def finish(folder: Path, record: RenderRecord) -> RenderRecord:
     """Remove what says that the scene could not be rendered, or that another render of it was bad."""
     remove_failure(folder)  # another command may have given the scene up meanwhile
     forget_bad_render(folder, record)
+    return record
 
 
 def _described(file: Path | bytearray) -> FileRecord:
@@ -87,8 +88,7 @@ def _described(file: Path | bytearray) -> FileRecord:
     return FileRecord(bytes=file.stat().st_size, sha256=sha256_of(file))
 
 
-def _forget(folder: Path, recipe: str) -> None:
-    record = read_record(folder)
+def _forget(folder: Path, record: RenderRecord | None, recipe: str) -> None:
     kept = record.files if record is not None and record.recipe == recipe else {}
     (folder / RECORD_FILE).unlink(missing_ok=True)
     for name in TRANSIENT_FILES:

@@ -165,9 +165,7 @@ class Renderer:
             else:
                 made.append(result)
         for (files, record), error in zip(made, write_sealed([each for each, _ in made]), strict=True):
-            if error is None:
-                finish(files.folder, record)
-            done[files.folder.name] = error or record
+            done[files.folder.name] = _result(finish, files.folder, record) if error is None else error
         return done
 
     def _render(self, source: _Source) -> RenderRecord:
@@ -178,8 +176,7 @@ class Renderer:
         names = (*TRANSIENT_FILES, *IMAGE_FILES)
         record = record_of(measured, {n: folder / n for n in names if (folder / n).is_file()})
         write_record(folder, record)
-        finish(folder, record)
-        return record
+        return finish(folder, record)
 
     def _begun(self, source: _Source) -> tuple[Path, dict[str, str], Callable[[], None]]:
         """Render folder of a scene, attributes of its files, and what forgets the earlier render."""

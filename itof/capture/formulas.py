@@ -85,6 +85,8 @@ def _names(node: ast.expr, text: str) -> Iterator[str]:
     """The arrays that a part of a formula names; refuses what a formula may not have."""
     name = _name(node)
     if name is not None:
+        if not name.isprintable():
+            raise ValueError(f"the formula {text!r} names an array with signs that cannot be printed")
         yield name
     elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
         yield from _names(node.left, text)
@@ -124,8 +126,8 @@ def _is_function(node: ast.Call) -> bool:
 
 
 def _place(node: ast.expr, text: str) -> Any:
-    """A slice, a whole number, an ellipsis, or several of them."""
-    if isinstance(node, ast.Tuple):
+    """A slice, a whole number, an ellipsis, or several of them; lists of places would make arrays larger."""
+    if isinstance(node, ast.Tuple) and not any(isinstance(each, ast.Tuple) for each in node.elts):
         return tuple(_place(each, text) for each in node.elts)
     if isinstance(node, ast.Slice):
         ends = (node.lower, node.upper, node.step)

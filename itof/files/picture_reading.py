@@ -18,7 +18,7 @@ from itof.files.npz_reading import BARE
 
 IMAGE_ENDINGS: Final = (".png", ".tif", ".tiff", ".pgm")
 _MOST_PAGES = 4096
-_PGM: Final = re.compile(rb"P5(?:\s+#[^\n]*\n|\s)+?(\d{1,5})\s+(\d{1,5})\s+(\d{1,5})\s")
+_PGM: Final = re.compile(rb"P5\s(?:\s|#[^\n]*\n)*(\d{1,5})\s+(\d{1,5})\s+(\d{1,5})\s")
 _TYPES: Final = {"L": "u1", "I;16": "u2", "I;16L": "u2", "I;16B": "u2", "I;16N": "u2", "I": "i4", "F": "f4"}
 
 

@@ -7,8 +7,10 @@ streams of the file. ffmpeg takes the file for nothing but Matroska, and opens n
 from __future__ import annotations
 
 import re
+from os import SEEK_END
 from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen, run
+from tempfile import TemporaryFile
 from typing import Final
 
 import numpy as np
@@ -18,7 +20,8 @@ from itof.arrays import Numbers
 from itof.files.array_claims import Claims, RefusedError, check_claim
 
 _STREAM: Final = re.compile(
-    r"Stream #0:\d+.*?: Video: .*?, (?P<kind>\w+)(?:\([^)]*\))?, (?P<width>\d+)x(?P<height>\d+)"
+    r"^  Stream #0:\d+.*?: Video: .*?, (?P<kind>\w+)(?:\([^)]*\))?, (?P<width>\d+)x(?P<height>\d+)",
+    re.MULTILINE,
 )
 _KIND: Final = re.compile(r"gray(?:9|1[0-6])[lb]e")
 
@@ -55,7 +58,18 @@ def read_video(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers],
             shape = (int(match["height"]), int(match["width"]))
             kind = f"{match['kind'][:-2]}le"
             whole = ["-map", f"0:v:{place}", "-fps_mode", "passthrough"]
-            command = [*start, *whole, "-f", "rawvideo", "-pix_fmt", kind, "-"]
+            command = [
+                *start[:1],
+                "-loglevel",
+                "error",
+                *start[1:],
+                *whole,
+                "-f",
+                "rawvideo",
+                "-pix_fmt",
+                kind,
+                "-",
+            ]
             found[name] = _frames(claims, name, command, shape)
     return found, list(streams)
 
@@ -65,7 +79,7 @@ def _frames(claims: Claims, name: str, command: list[str], shape: tuple[int, int
     frames, size = list[Numbers](), claims.path.stat().st_size
     check_claim(claims.path, name, np.dtype("<u2"), shape, size)
     count = 2 * shape[0] * shape[1]
-    with Popen(command, stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL) as program:  # noqa: S603
+    with TemporaryFile() as told, Popen(command, stdin=DEVNULL, stdout=PIPE, stderr=told) as program:  # noqa: S603
         try:
             while len(part := program.stdout.read(count)) == count > 0:  # type: ignore[union-attr]
                 claims.add(name, np.dtype("<u2"), shape, size)
@@ -73,6 +87,7 @@ def _frames(claims: Claims, name: str, command: list[str], shape: tuple[int, int
         except BaseException:
             program.kill()
             raise
-    if not frames or part:
+        is_damaged = program.wait() != 0 or told.seek(0, SEEK_END) > 0  # it goes on after what it tells
+    if not frames or part or is_damaged:
         raise RefusedError(f"{claims.path}: {name} is damaged: ffmpeg reads {len(frames)} whole frames of it")
     return np.stack(frames)

@@ -48,6 +48,7 @@ REFUSED = [
     "= open(a)",
     "= [a, a]",
     "= a[a]",
+    "= a[(0, 0),]",
     "= a[0.5]",
     "= a[None]",
     "= a[True]",
@@ -78,6 +79,12 @@ def test_a_formula_with_any_other_part_is_refused_before_a_file_is_read(tmp_path
     if text.isprintable():
         with pytest.raises(CaptureError, match=r"sidecar\.toml"):
             sidecar_of(tmp_path, IMAGES, layout="phasors", arrays=[text])
+
+
+@pytest.mark.parametrize("name", [r"a\x00", r"a\n", r"\ud800"])
+def test_a_formula_cannot_name_what_cannot_be_printed(name):
+    with pytest.raises(ValueError, match="signs that cannot be printed"):
+        names_in(f"= '{name}' + a")
 
 
 @pytest.mark.parametrize(
