@@ -189,7 +189,18 @@ def every_command(folder):
         words("night-gen", "preview", data, "--count", 2),
         words("night-train", data, "--out", run, *TRAINING, *cpu),
         words("night-eval", run, data, "--out", folder / "report", *cpu),
-        words("night-eval", "predict", run, scene / "itof.exr", "--out", folder / "prediction", *cpu),
+        words(  # a network of seconds explains nothing
+            *(
+                "night-eval",
+                "predict",
+                run,
+                scene / "itof.exr",
+                "--out",
+                folder / "prediction",
+                "--force",
+                *cpu,
+            )
+        ),
         words("night-eval", "export", run, "--out", folder / "model.onnx"),
         words("night-render", "drop-transients", data, "--yes"),
     ]
