@@ -77,13 +77,21 @@ def _written(files: SealedFiles, stage: Path) -> OSError | None:
             _write(partials[each], content, files.folder / each)
         files.before()
         for each in files.files:
-            partials[each].replace(files.folder / each)
+            _rename(partials[each], files.folder / each)
         sync(files.folder)
-        partials[name].replace(files.folder / name)
+        _rename(partials[name], files.folder / name)
         sync(files.folder)
     except OSError as error:
         return error
     return None
+
+
+def _rename(partial: Path, final: Path) -> None:
+    """Give a file its name; errors have that name, too."""
+    try:
+        partial.replace(final)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(final)) from error
 
 
 def _write(partial: Path, content: bytes | bytearray, final: Path) -> None:
