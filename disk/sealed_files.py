@@ -28,7 +28,7 @@ class SealedFiles:
     """
 
     folder: Path
-    files: Mapping[str, bytes | bytearray]
+    files: Mapping[str, bytes]
     seal: tuple[str, bytes]
     before: Callable[[], None]
 
@@ -94,7 +94,7 @@ def _rename(partial: Path, final: Path) -> None:
         raise OSError(error.errno, error.strerror, str(final)) from error
 
 
-def _write(partial: Path, content: bytes | bytearray, final: Path) -> None:
+def _write(partial: Path, content: bytes, final: Path) -> None:
     """Write a new file to disk; errors have the name of the `final` one."""
     if final.is_dir() and not final.is_symlink():
         raise IsADirectoryError(EISDIR, os.strerror(EISDIR), str(final))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from disk import remove_leftovers, sha256_of
-from itof.exr.encoding import image_bytes
+from itof.exr.image import image_bytes
 from render.settings import RenderError
 from scenegen import (
     IMAGE_FILES,
@@ -50,7 +50,7 @@ def begin(folder: Path, recipe: str, *, keeps_transients: bool) -> Callable[[], 
 
 def image_file(
     name: str, channels: Mapping[str, NDArray[np.float32]], attributes: Mapping[str, str]
-) -> bytearray:
+) -> bytes:
     """The contents of the image `name`.
 
     Phasors are not packed: that saves 2 % of the file, for most of the time of writing.
@@ -66,7 +66,7 @@ def image_file(
     return image_bytes(channels, attributes, packed=name != MEASUREMENT_FILE)
 
 
-def record_of(attributes: Mapping[str, str], files: Mapping[str, Path | bytearray]) -> RenderRecord:
+def record_of(attributes: Mapping[str, str], files: Mapping[str, Path | bytes]) -> RenderRecord:
     """The record of files, given by place or contents; the recipe is one of their attributes."""
     return RenderRecord(
         recipe=attributes["recipe"],
@@ -82,8 +82,8 @@ def finish(folder: Path, record: RenderRecord) -> RenderRecord:
     return record
 
 
-def _described(file: Path | bytearray) -> FileRecord:
-    if isinstance(file, bytearray):
+def _described(file: Path | bytes) -> FileRecord:
+    if isinstance(file, bytes):
         return FileRecord(bytes=len(file), sha256=hashlib.sha256(file).hexdigest())
     return FileRecord(bytes=file.stat().st_size, sha256=sha256_of(file))
 

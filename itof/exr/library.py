@@ -1,4 +1,4 @@
-"""OpenEXR: files are read and transients are written through this module, the only one that imports it.
+"""OpenEXR: files are written and read through this module, the only one that imports the library.
 
 A file is opened for reading only after `itof.exr.header` has checked its structure, so that a damaged or
 hostile file is refused and cannot crash the process. What OpenEXR prints is discarded, and each of its errors
@@ -21,10 +21,10 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from disk.whole_writing import errno_of_writing
-from itof.exr.encoding import ATTRIBUTE_PREFIX
 from itof.exr.header import ImageFileError, UnsupportedImageError, read_structure
 from processes import silenced
 
+ATTRIBUTE_PREFIX = "night."
 _FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
 _ERRORS_OF_WRITING = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS, errno.ENOENT, errno.ENOTDIR),
@@ -47,7 +47,11 @@ def compressing_with_threads(count: int) -> Iterator[None]:
 
 
 class ExrOutput:
-    """A new EXR file with FLOAT channels, lossless compression (ZIPS) and text attributes.
+    """A new EXR file with FLOAT channels and text attributes.
+
+    Parameters
+    ----------
+    packed : with lossless compression (ZIPS), or none.
 
     Raises
     ------
@@ -55,7 +59,13 @@ class ExrOutput:
     """
 
     def __init__(
-        self, path: Path, size: tuple[int, int], channels: Sequence[str], attributes: Mapping[str, str]
+        self,
+        path: Path,
+        size: tuple[int, int],
+        channels: Sequence[str],
+        attributes: Mapping[str, str],
+        *,
+        packed: bool = True,
     ) -> None:
         self._path = path
         try:
@@ -64,7 +74,8 @@ class ExrOutput:
             raise OSError(errno.EILSEQ, "an EXR file needs a name that is UTF-8", str(path)) from None
         header = OpenEXR.Header(*size)
         header["channels"] = {name: Imath.Channel(_FLOAT) for name in channels}
-        header["compression"] = Imath.Compression(Imath.Compression.ZIPS_COMPRESSION)
+        method = Imath.Compression.ZIPS_COMPRESSION if packed else Imath.Compression.NO_COMPRESSION
+        header["compression"] = Imath.Compression(method)
         texts = {ATTRIBUTE_PREFIX + name: text.encode() for name, text in attributes.items()}
         with self._errors():
             self._file = OpenEXR.OutputFile(str(path), header | texts)

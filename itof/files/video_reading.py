@@ -58,18 +58,8 @@ def read_video(path: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Numbers],
             shape = (int(match["height"]), int(match["width"]))
             kind = f"{match['kind'][:-2]}le"
             whole = ["-map", f"0:v:{place}", "-fps_mode", "passthrough"]
-            command = [
-                *start[:1],
-                "-loglevel",
-                "error",
-                *start[1:],
-                *whole,
-                "-f",
-                "rawvideo",
-                "-pix_fmt",
-                kind,
-                "-",
-            ]
+            command = [start[0], "-loglevel", "error", *start[1:], *whole]
+            command += ["-f", "rawvideo", "-pix_fmt", kind, "-"]
             found[name] = _frames(claims, name, command, shape)
     return found, list(streams)
 

@@ -8,7 +8,7 @@ of it. Every path ends with one of these legs to the camera:
 - from the hidden object, lit over a surface of the room, to the relay wall: virtual lights, too,
 - from the relay wall or the object to a surface of the room (`render.transport.passes.room_pixels`).
 
-docs/science/renderer.md, Room.
+docs/science/renderer.md, Rooms.
 """
 
 from __future__ import annotations

@@ -190,14 +190,14 @@ def test_a_tiled_image_is_refused(tmp_path):
         read_image(tmp_path / "a.exr")
 
 
-def test_an_image_may_have_any_name_and_a_transient_one_in_utf_8(tmp_path):
+def test_a_file_may_have_any_name_for_reading_and_one_in_utf_8_for_writing(tmp_path):
     values = np.ones((2, 3), np.float32)
+    write_image(tmp_path / "ö.exr", {"Y": values}, {})
     odd = tmp_path / os.fsdecode(b"\xff.exr")  # on which OpenEXR crashes the process
-    for file in (tmp_path / "ö.exr", odd):
-        write_image(file, {"Y": values}, {})
-        np.testing.assert_array_equal(read_image(file).channel("Y"), values)
+    os.link(tmp_path / "ö.exr", odd)
+    np.testing.assert_array_equal(read_image(odd).channel("Y"), values)
     with pytest.raises(OSError, match="a name that is UTF-8"):
-        TransientWriter(odd, TransientLayout(8, 4, 100, 0.01, 0.0), {})
+        write_image(tmp_path / os.fsdecode(b"\xfe.exr"), {"Y": values}, {})
 
 
 def test_advice_ends_the_sentence_about_a_damaged_file_and_is_no_advice_to_delete(exr, tmp_path):
