@@ -17,13 +17,14 @@ smaller u trusts the image more.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import itertools
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from itof.arrays import Floats
-from itof.wall.wall_phases import Residual, WallPhases
+from itof.wall.wall_phases import Residual, WallPhases, Weighted, solve
 
 _SMOOTH_RAD: Final = 1e-3  # for the fit: errors that it may hide;
 _STATED_RAD: Final = 3e-3  # for its covariance
@@ -57,27 +58,53 @@ def robust_solution(
     plane, local = start.copy(), np.zeros((count, 3))
     local[:, :1] = np.where(np.isinf(local_std_rad[:, :1]), problem.first_guess(start), 0.0)
     known = np.concatenate([np.zeros(3), (1 / local_std_rad**2).reshape(-1)])  # inverse variances
-    modes, scale, variance = _smooth_modes(problem), 1.0, 1.0
-    for step in range(_STEPS):
-        problem = _with_four_cycles(problem, plane)
+    weighting = _Adapting(problem, known, _smooth_modes(problem))
+    plane, local = solve(plane, local, itertools.repeat(weighting, _STEPS))
+    return plane, local, weighting.covariance()
+
+
+@dataclass
+class _Adapting:
+    """Weights that adapt to what each step leaves; they end the steps when these no longer move the fit."""
+
+    problem: WallPhases[Floats]
+    known: Floats  # (P,) inverse variances
+    modes: Floats
+    steps: int = 0
+    scale: float = 1.0  # of the residual
+    variance: float = 1.0  # of a smooth error
+
+    def __call__(self, plane: Floats, local: Floats) -> Weighted[Floats] | None:
+        if self.steps > _SCALE_STEPS and (self.scale > _HOPELESS_RAD or self._is_settled(plane, local)):
+            return None
+        problem = _with_four_cycles(self.problem, plane)
         residual = problem.residual(plane, local)
-        if step < _SCALE_STEPS:
-            scale = _scale(problem.weight, np.where(residual.meets, residual.left, np.pi))
-        weight = problem.weight * _share(residual.left / scale, tukey=step >= _HUBER_STEPS) * residual.meets
-        if step < _SCALE_STEPS:  # slowly: a ridge that falls at once lets unknowns jump that hardly matter
-            variance = np.sqrt(variance * _smooth_variance(problem, modes, residual, scale))
-        ridge = (variance + _SMOOTH_RAD**2) * known
-        before, before_rad = plane, local
-        plane, local = problem.step(plane, local, residual, weight, ridge)
-        moved_m = np.abs((plane - before) @ problem.pixels.tangent(residual.depth_m)).max()
-        moved_rad = moved_m * problem.pixels.slope.max() + np.abs(local - before_rad).max(initial=0.0)
-        if step >= _SCALE_STEPS and (moved_rad < _SMALL_STEP_RAD or scale > _HOPELESS_RAD):
-            break
-    variance = _smooth_variance(problem, modes, residual, scale)
-    normal, _ = problem.normal_equations(residual, weight)
-    inverse = _inverse(normal + np.diag(ridge))
-    stated = (variance + _STATED_RAD**2) * normal + np.diag((variance + _SMOOTH_RAD**2) * ridge)
-    return plane, local, inverse @ stated @ inverse
+        if self.steps < _SCALE_STEPS:
+            self.scale = _scale(problem.weight, np.where(residual.meets, residual.left, np.pi))
+            smooth = _smooth_variance(problem, self.modes, residual, self.scale)
+            # slowly: a ridge that falls at once lets unknowns jump that hardly matter
+            self.variance = float(np.sqrt(self.variance * smooth))
+        share = _share(residual.left / self.scale, tukey=self.steps >= _HUBER_STEPS)
+        self.ridge = (self.variance + _SMOOTH_RAD**2) * self.known
+        self.steps, self.before, self.last = self.steps + 1, (plane, local), (problem, residual)
+        self.weight = problem.weight * share * residual.meets
+        return problem, residual, self.weight, self.ridge
+
+    def _is_settled(self, plane: Floats, local: Floats) -> bool:
+        pixels, (_, residual), (before, before_rad) = self.problem.pixels, self.last, self.before
+        moved_m = np.abs((plane - before) @ pixels.tangent(residual.depth_m)).max()
+        moved_rad = moved_m * pixels.slope.max() + np.abs(local - before_rad).max(initial=0.0)
+        return bool(moved_rad < _SMALL_STEP_RAD)
+
+    def covariance(self) -> Floats:
+        """(P, P) of the unknowns after the last step."""
+        problem, residual = self.last
+        variance = _smooth_variance(problem, self.modes, residual, self.scale)
+        normal, _ = problem.normal_equations(residual, self.weight)
+        inverse = _inverse(normal + np.diag(self.ridge))
+        stated = (variance + _STATED_RAD**2) * normal + np.diag((variance + _SMOOTH_RAD**2) * self.ridge)
+        covariance: Floats = inverse @ stated @ inverse
+        return covariance
 
 
 def _with_four_cycles(problem: WallPhases[Floats], plane: Floats) -> WallPhases[Floats]:

@@ -15,6 +15,7 @@ weighted squares of all pixels is then nearly 0.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from array_api_compat import array_namespace
@@ -25,7 +26,7 @@ from itof.other_surfaces import ELSEWHERE_RAD
 from itof.wall.expected_wall import ExpectedWall, strength_elsewhere
 from itof.wall.turned_reference import brightness_of_wall, weighted_path
 from itof.wall.wall_fit import WallFit
-from itof.wall.wall_phases import Residual, WallPhases, WallRays, by_pixel, four_cycles
+from itof.wall.wall_phases import WallPhases, WallRays, Weighted, by_pixel, four_cycles, solve
 
 # Widths of the biweight in radians, one per step; the last step has all pixels. With the first, a wall 0.4 m
 # off at 60 MHz counts. With the last, a pixel with 45 mrad of hidden light has the weight 0.94; 99.9 % of
@@ -61,11 +62,9 @@ def calibrate(
     # An odd distance takes other columns in each row.
     few = problem.thinned(2 * (problem.phases.shape[-1] // (2 * _FIRST_PIXELS)) + 1)
     plane = xp.broadcast_to(xp.astype(wall.plane_per_m, xp.float64), (*phasor.shape[:-3], 3))
-    local = few.first_guess(plane)
-    for step, width_rad in enumerate(_WIDTHS_RAD, 1):
-        pixels = problem if step == len(_WIDTHS_RAD) else few
-        residual = pixels.residual(plane, local)
-        plane, local = pixels.step(plane, local, residual, _weight(pixels, residual, width_rad))
+    steps = zip([few] * (len(_WIDTHS_RAD) - 1) + [problem], _WIDTHS_RAD, strict=True)
+    schedule = [partial(_weighted, *step) for step in steps]
+    plane, local = solve(plane, few.first_guess(plane), schedule)
     plane, local = (xp.where(xp.isfinite(each), each, 0.0) for each in (plane, local))
     return WallFit(plane, local[..., 0], local[..., 1:] if wiggling else None)
 
@@ -97,11 +96,11 @@ def phases_over(
     )
 
 
-def _weight(problem: WallPhases[A], residual: Residual[A], width_rad: float) -> A:
-    """(..., 1, n) weights of a diffuse wall in the fitted plane, less where a pixel does not see it."""
-    xp = problem.xp
+def _weighted(problem: WallPhases[A], width_rad: float, plane: A, local: A) -> Weighted[A]:
+    """The weights of a diffuse wall in the fitted plane, less where a pixel does not see it."""
+    xp, residual = problem.xp, problem.residual(plane, local)
     farthest = xp.max(xp.abs(residual.left), axis=-2, keepdims=True)  # (..., 1, n)
     strength = strength_elsewhere(problem.pixels.expected_depth_m, residual.depth_m)[..., None, :]
     times = xp.clip(farthest / width_rad, max=1.0)
     share = (1 - times * times) * strength
-    return problem.weight * (share * share)
+    return problem, residual, problem.weight * (share * share), None

@@ -12,19 +12,19 @@ linear in m, so dL = -L² r · dm. The unknowns are the plane (3) and, as option
 four-cycle error is a function. The unknowns follow by least squares over all pixels and frequencies; the step
 is repeated because L depends on the plane (Gauss-Newton).
 
-`WallPhases.step` is the solver. There are two ways to weight the pixels: `itof.wall.robust_solution` adapts
-to the noise of one image and knows how large its errors may be, and `itof.wall.self_calibration` has the
-weights of a diffuse wall, the same for every image.
+`solve` is the solver. There are two ways to weight the pixels: `itof.wall.robust_solution` adapts to the
+noise of one image and knows how large its errors may be, and `itof.wall.self_calibration` has the weights of
+a diffuse wall, the same for every image.
 Arrays may be of numpy or of any other library that supports the array API standard with linear algebra.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Final, Generic
+from typing import Final, Generic, TypeAlias
 
 from array_api_compat import device
 
@@ -205,6 +205,22 @@ class WallPhases(Generic[A]):
         along = xp.sum(moments[..., :3] * k[..., 0], axis=-2)  # (..., 3)
         each = xp.reshape(moments[..., 3:], (*shape, frequencies * count))
         return matrix, xp.concat([along, each], axis=-1)
+
+
+# The arguments of `WallPhases.step` beside the unknowns, for the unknowns so far; None ends the steps.
+Weighted: TypeAlias = tuple[WallPhases[A], Residual[A], A, A | None]
+Weighting: TypeAlias = Callable[[A, A], Weighted[A] | None]
+
+
+def solve(plane: A, local: A, schedule: Iterable[Weighting[A]]) -> tuple[A, A]:
+    """Plane and local unknowns after a Gauss-Newton step with each weighting, until one ends the steps."""
+    for weighting in schedule:
+        weighted = weighting(plane, local)
+        if weighted is None:
+            break
+        problem, residual, weight, known = weighted
+        plane, local = problem.step(plane, local, residual, weight, known)
+    return plane, local
 
 
 def _sums(xp: ModuleType, rows: A, others: Sequence[A]) -> list[A]:
