@@ -15,6 +15,7 @@ from pydantic.dataclasses import dataclass
 from scipy.constants import speed_of_light
 
 from disk.contract import STRICT, checked_data
+from disk.frequency_text import megahertz
 from disk.path_like import PathLike
 from disk.preset_files import PresetError, read_settings
 from disk.quantities import (
@@ -295,9 +296,9 @@ class Preset:
         fastest_hz = max(self.itof.frequencies_hz)
         if fastest_hz >= limit_hz:
             raise ValueError(
-                f"itof.frequencies_hz must stay below {limit_hz / 1e6:g} MHz, where a bin of "
+                f"itof.frequencies_hz must stay below {megahertz(limit_hz)}, where a bin of "
                 f"transient.bin_width_m = {self.transient.bin_width_m:g} is half a period: "
-                f"got {fastest_hz / 1e6:g} MHz"
+                f"got {megahertz(fastest_hz)}"
             )
 
 

@@ -37,7 +37,7 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
     """
     drawn = 0 if preset.is_sequence else index
     rng = np.random.default_rng([preset.dataset.seed, drawn, attempt])
-    which, object_class, split = _class_and_split(preset, index)
+    which, object_class, split = class_and_split(preset, index)
     parts = _sample_parts(preset, index, which, object_class, rng)
     roughness_index = int(rng.random() * len(preset.relay_wall.roughness))
     camera = _sample_camera(preset, rng)
@@ -90,19 +90,14 @@ def room_of(preset: Preset) -> tuple[RoomWall, ...]:
     )
 
 
-def class_and_split(preset: Preset, index: int) -> tuple[str, Split]:
-    """Object class and split of scene `index`."""
-    return _class_and_split(preset, index)[1:]
-
-
 def first_of_each_class(preset: Preset, most: int) -> list[int]:
     """The first scene of each class, or table `[[object]]`, among the first `most` scenes of a preset."""
     scenes = range(min(most, preset.dataset.count))
-    first = {_class_and_split(preset, index)[0]: index for index in reversed(scenes)}
+    first = {class_and_split(preset, index)[0]: index for index in reversed(scenes)}
     return sorted(first.values())
 
 
-def _class_and_split(preset: Preset, index: int) -> tuple[int, str, Split]:
+def class_and_split(preset: Preset, index: int) -> tuple[int, str, Split]:
     """Number and name of the class of scene `index`, and its split; of the first n scenes exactly the shares.
 
     Empty corners are distributed evenly over the scenes, and composites over the others; the other classes

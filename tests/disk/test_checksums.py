@@ -19,7 +19,7 @@ from training_runs import (
     train_on_one_thread,
 )
 
-from disk.checksums import labelled, read_label, with_checksum
+from disk.checksums import labelled, with_checksum
 from model.prediction.predictor import load
 from model.run_folder.history import read_history
 from model.run_folder.run_config import RunError, read_config, run_id_of
@@ -77,31 +77,6 @@ def test_damage_of_any_file_of_a_run_is_refused(finished_copy, file):
             read(finished_copy)
     path.write_bytes(content)
     read(finished_copy)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("file", ["run.json", "history.csv"])
-def test_every_bit_of_a_text_file_counts(finished_copy, file):
-    path, read = finished_copy / file, READERS[file]
-    content = path.read_bytes()
-    for position in range(len(content)):
-        for bit in range(8):
-            path.write_bytes(flipped(content, position, bit))
-            with pytest.raises(RunError):
-                read(finished_copy)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("file", ["best.safetensors", "checkpoint.pt"])
-def test_every_byte_of_a_binary_file_counts(closed_form_scenes, tmp_path, file):
-    small = train_on_one_thread(closed_form_scenes, tmp_path / "run", width=1, max_epochs=1)
-    content = bytearray((small / file).read_bytes())
-    assert read_label(bytes(content)).is_right
-    for position in range(len(content)):
-        content[position] ^= 1 << position % 8
-        label = read_label(bytes(content))
-        assert label is None or not label.is_right, position
-        content[position] ^= 1 << position % 8
 
 
 def test_damage_says_in_the_commands_what_to_do(finished_copy, exr, closed_form_scenes, tmp_path):

@@ -21,7 +21,6 @@ from itof.wall.wall_fit import fit_wall
 from scenegen import open_dataset
 
 LEVEL = np.array([-0.6, 0.0, 0.7])  # 1/m: a wall whose rows may be mirrored
-MILLIRADIANS = 1e-3
 
 
 @pytest.fixture(scope="module")

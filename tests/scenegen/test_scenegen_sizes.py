@@ -64,17 +64,17 @@ def test_a_size_is_drawn_after_all_else_and_enlarges_a_composite_as_a_whole():
 
 def test_every_fourth_scene_is_empty_and_the_others_are_those_without_empty_corners():
     with_empty, without = preset(empty_fraction=0.25), preset()
-    classes = [class_and_split(with_empty, index) for index in range(400)]
+    classes = [class_and_split(with_empty, index)[1:] for index in range(400)]
     assert all(Counter(name for name, _ in classes[n : n + 4])["no_object"] == 1 for n in range(0, 400, 4))
     shapes = [name for name, _ in classes if name != "no_object"]
-    assert shapes == [class_and_split(without, index)[0] for index in range(300)]
+    assert shapes == [class_and_split(without, index)[1] for index in range(300)]
     splits = Counter(split for name, split in classes if name == "no_object")
     assert splits == {"test": 20, "validation": 16, "train": 64}  # 0.2 of 100, and 0.2 of the rest
     empty = [sample_scene(with_empty, n) for n, (name, _) in enumerate(classes[:40]) if name == "no_object"]
     assert all(scene.hidden_objects == () for scene in empty)
     assert len({scene.camera for scene in empty}) == len({scene.relay_wall for scene in empty}) == 10
     assert scene_from_json(scene_to_json(empty[0]), "here") == empty[0]
-    assert {class_and_split(preset(empty_fraction=1.0), index)[0] for index in range(9)} == {"no_object"}
+    assert {class_and_split(preset(empty_fraction=1.0), index)[1] for index in range(9)} == {"no_object"}
 
 
 def test_keys_that_change_nothing_are_in_no_file():

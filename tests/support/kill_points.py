@@ -1,24 +1,13 @@
-"""Writers of whole files and folders that are killed at a chosen point, and what they leave.
-
-As a program (``kill_points.py KIND PATH``), replaces PATH once, between two calls that stand out in a log of
-`strace`.
-"""
+"""Writers of whole files and folders that are killed at a chosen point, and what they leave."""
 
 import itertools
 import os
-import re
 import signal
-import subprocess
 import sys
-from collections import Counter
-from pathlib import Path
 
 from disk import remove_leftovers, whole_folder, whole_writing, write_text
 
-# The calls that may change the disk or a lock.
-CALLS = ("mkdir", "openat", "write", "fsync", "rename", "renameat2", "unlink", "unlinkat", "rmdir", "flock")
-CALLS += ("chmod", "fchmodat")
-# Of these, Python tells its audit hooks.
+# The calls that may change the disk or a lock, of which Python tells its audit hooks.
 CHANGES = frozenset({"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.chmod"})
 EVENTS = CHANGES | {"open", "os.scandir", "os.listdir", "ctypes.dlsym", "fcntl.flock"}
 
@@ -88,39 +77,3 @@ def killed_before(number, events, action, below=""):
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     assert status in (0, -signal.SIGKILL)
     return status != 0
-
-
-def strace(*options, kind, path, log):
-    """Replace `path` under strace, and return the exit code, -9 after a kill."""
-    traced = f"trace={','.join((*CALLS, 'access'))}"
-    done = subprocess.run(
-        ["strace", "-o", log, "-e", traced, *options, sys.executable, __file__, kind, path],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"},
-    )
-    assert done.returncode in (0, -signal.SIGKILL), done.stderr
-    return done.returncode
-
-
-def system_calls(log):
-    """(name, number) of each call between ``access("/begin")`` and ``access("/end")`` in a log of `strace`.
-
-    The number counts the calls of this name, as ``inject=NAME:when=NUMBER`` of strace does.
-    """
-    counts, found, inside = Counter(), [], False
-    for name, rest in re.findall(r"^(\w+)\((.*)", log.read_text(), re.MULTILINE):
-        counts[name] += 1
-        if name == "access":
-            inside = '"/begin"' in rest or (inside and '"/end"' not in rest)
-        elif inside:
-            found.append((name, counts[name]))
-    return found
-
-
-if __name__ == "__main__":
-    write, _, new = KINDS[sys.argv[1]]
-    os.access("/begin", os.F_OK)
-    write(Path(sys.argv[2]), new)
-    os.access("/end", os.F_OK)

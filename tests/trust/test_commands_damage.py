@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from night_commands import PRESET, TRAINING, night_here, refusal
+from night_commands import TRAINING, refusal
 from render_records import record_anew
 from training_runs import edit_settings, edit_weights
 
@@ -81,13 +81,6 @@ def test_a_scene_that_many_light_cannot_render_says_why(pipeline_copy, render_he
     assert words in done.stderr
 
 
-def test_a_missing_render_says_which_and_what_to_do(pipeline_copy):
-    (pipeline_copy / "data" / "renders" / "000002" / "itof.exr").unlink()
-    message = refusal("night-train", pipeline_copy / "data", "--out", pipeline_copy / "new")
-    assert "000002" in message
-    assert "night-render" in message
-
-
 def with_nan(file):
     image = read_image(file)
     channels = {name: values.copy() for name, values in image.channels.items()}
@@ -146,36 +139,9 @@ def test_a_transient_of_a_damaged_time_axis_is_refused(pipeline_copy, tmp_path):
         assert words in refusal("night-render", *command)
 
 
-@pytest.mark.long
-def test_another_resolution_between_stages_is_refused(pipeline_copy, render_here):
-    data, half = (
-        pipeline_copy / "data",
-        ["--lights", 64, "--device", "cpu", "--resolution", "12x9", "--again", "changed"],
-    )
-    assert render_here(data, *half, "--only", "000001").returncode == 0
-    message = refusal("night-train", data, "--out", pipeline_copy / "new")
-    assert "12x9" in message
-    assert "24x18" in message
-    assert render_here(data, *half).returncode == 0
-    message = refusal("night-eval", pipeline_copy / "run", data, "--out", pipeline_copy / "report")
-    assert "wrong resolution" in message
-
-
-def test_a_dataset_without_a_test_split_is_refused(tmp_path, pipeline):
-    (tmp_path / "my.toml").write_text(PRESET.replace("count = 7", "count = 7\ntest_fraction = 0.0"))
-    made = night_here("night-gen", "scenes", tmp_path / "d", "--preset", tmp_path / "my.toml")
-    assert made.returncode == 0, made.stderr
-    message = refusal("night-eval", pipeline.folder / "run", tmp_path / "d", "--out", tmp_path / "report")
-    assert "no test split" in message
-
-
-def test_damaged_weights_are_refused(pipeline_copy):
+def test_weights_and_answers_that_are_no_numbers_are_refused(pipeline_copy):
     run, report = pipeline_copy / "run", ("--out", pipeline_copy / "report")
-    weights = run / "best.safetensors"
-    content, judged = weights.read_bytes(), (run, pipeline_copy / "data")
-    weights.write_bytes(content[:1000])
-    assert "damaged" in refusal("night-eval", *judged, *report)
-    weights.write_bytes(content)
+    judged = (run, pipeline_copy / "data")
     exr = pipeline_copy / "data" / "renders" / "000001" / "itof.exr"
     onnx = ("--out", pipeline_copy / "model.onnx")
     edit_weights(run, lambda _, weight: weight * np.nan)
@@ -186,12 +152,6 @@ def test_damaged_weights_are_refused(pipeline_copy):
         assert "answers with NaN or infinite values" in refusal("night-eval", *command)
     assert not (pipeline_copy / "report").exists()
     assert not (pipeline_copy / "model.onnx").exists()
-
-
-def test_a_checkpoint_of_another_architecture_is_refused(pipeline_copy):
-    edit_settings(pipeline_copy / "run", width=8)
-    judged = (pipeline_copy / "run", pipeline_copy / "data", "--out", pipeline_copy / "report")
-    assert "another architecture" in refusal("night-eval", *judged)
 
 
 @pytest.mark.parametrize("width", [700, 1_000_000])

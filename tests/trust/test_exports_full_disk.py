@@ -1,10 +1,7 @@
 """Full disks: what is made of renders is whole or not there, and one sentence names the file."""
 
-import shlex
-
 import pytest
-from full_disk import can_mount, file_size_limit, on_small_disk
-from night_commands import words
+from full_disk import file_size_limit
 
 from render.products.conversion import ExportError, convert_to_itof, open_transient
 from render.products.deferred_error_file import DeferredErrorFile
@@ -59,23 +56,3 @@ def test_hdf5_reads_back_what_found_no_room(tmp_path):
         with pytest.raises(OSError, match="File too large"):
             file.raise_error()
     assert (tmp_path / "a").read_bytes()[:12] == b"01234567abcd"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "sizes_kb", [(8, 100), pytest.param((4, 16, 32, 64, 150, 200, 250), marks=pytest.mark.thorough)]
-)
-@pytest.mark.parametrize("form", ["tal", "itof"])
-def test_every_command_ends_in_one_sentence_on_a_full_disk(seven_renders, tmp_path, form, sizes_kb):
-    if not can_mount():
-        pytest.skip("needs the right to mount a file system of its own (unshare)")
-    convert = ("night-render", "convert", seven_renders, "--to", form, "--only", "000002", "--out", tmp_path)
-    for kilobytes in sizes_kb:
-        command = shlex.join(words(*convert))
-        done = on_small_disk(tmp_path, kilobytes, f"{command}; echo $?; ls -A {tmp_path}")
-        if form == "itof" and kilobytes > 8 and not done.stderr.count("Error"):
-            assert done.stdout.splitlines()[-2:] == ["0", "000002_itof.exr"]
-            continue
-        assert done.stdout.splitlines() == ["2"], done.stderr  # and no file
-        assert done.stderr.count("cannot write") == 1, done.stderr
-        assert "No space left on device" in done.stderr

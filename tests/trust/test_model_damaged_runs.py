@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from night_commands import refusal
-from training_runs import checkpoint, config_of, edit_checkpoint, edit_config, edit_settings, settings
+from training_runs import config_of, edit_checkpoint, edit_config, edit_settings, settings
 
 from disk.checksums import label_text, labelled
 from itof.files.measurement_files import MeasurementError, read_measurement
@@ -58,23 +58,6 @@ def test_weights_of_another_architecture_are_refused(finished_copy, resume):
         resume(width=3)
 
 
-def test_truncated_weights_and_foreign_folders_are_refused(finished_copy, closed_form_scenes, tmp_path):
-    exr = closed_form_scenes.render_folder("000000") / "itof.exr"
-    weights, out = finished_copy / "best.safetensors", ("--out", tmp_path / "out")
-    content = weights.read_bytes()
-    for length in (0, 4, 100, len(content) - 1):
-        weights.write_bytes(content[:length])
-        message = refusal("night-eval", "predict", finished_copy, exr, *out)
-        assert "best.safetensors is damaged" in message
-        assert "checksum" in message
-    assert "is no training run" in refusal("night-eval", "predict", tmp_path, exr, *out)
-    assert "holds other things" in refusal(
-        "night-eval", "predict", finished_copy, exr, "--out", finished_copy
-    )
-    onnx = ("--out", tmp_path / "a.onnx")
-    assert "there is no folder" in refusal("night-eval", "export", tmp_path / "no", *onnx)
-
-
 def test_a_run_of_a_newer_program_is_refused(finished_copy, resume, closed_form_scenes, tmp_path):
     edit_checkpoint(finished_copy, schema_version=RUN_SCHEMA + 1)
     with pytest.raises(RunError, match=rf"no checkpoint of schema version {RUN_SCHEMA}"):
@@ -88,18 +71,6 @@ def test_a_run_of_a_newer_program_is_refused(finished_copy, resume, closed_form_
     ):
         message = refusal("night-eval", *words, "--out", tmp_path / "new.onnx")
         assert f"schema version {RUN_SCHEMA + 1}, this program reads version {RUN_SCHEMA}" in message
-
-
-def test_a_damaged_checkpoint_cannot_be_resumed(finished_run, finished_copy, resume):
-    file = finished_copy / "checkpoint.pt"
-    content = file.read_bytes()
-    for spoilt in (content[:1000], b"", b"no checkpoint"):
-        file.write_bytes(spoilt)
-        with pytest.raises(RunError, match=r"checkpoint.pt is damaged"):
-            resume()
-    torch.save(checkpoint(finished_run), file)
-    with pytest.raises(RunError, match=r"checkpoint.pt is damaged \(no checksum\)"):
-        resume()
 
 
 class Payload:

@@ -1,14 +1,10 @@
 """A full disk ends night-train and the ONNX export in one sentence that names the file; nothing is lost."""
 
-import re
-import shlex
-
 import pytest
-from full_disk import can_mount, file_size_limit, on_small_disk
-from night_commands import refusal, words
-from training_runs import assert_same_end, preset_text, settings
+from full_disk import file_size_limit
+from night_commands import refusal
+from training_runs import assert_same_end, settings
 
-from model.prediction.predictor import load
 from model.run_folder.history import EpochRecord, read_history, write_history
 from model.run_folder.run_config import RunError
 from model.training.log import TrainingLog
@@ -79,37 +75,3 @@ def test_an_export_that_cannot_be_written_leaves_the_earlier_file(finished_run, 
     assert "File too large" in message or "file is too large" in message
     assert model.read_text() == "the earlier file"
     assert list(tmp_path.iterdir()) == [model]
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not can_mount(), reason="unshare --mount is not allowed here: run as root")
-@pytest.mark.parametrize(
-    "kilobytes",
-    [
-        *(8, 500),
-        *(pytest.param(each, marks=pytest.mark.thorough) for each in (4, 16, 100, 160, 300, 800, 1000, 1200)),
-    ],
-)
-def test_a_training_goes_on_when_a_full_disk_has_room_again(
-    closed_form_scenes, finished_run, tmp_path, kilobytes
-):
-    disk, result = tmp_path / "disk", tmp_path / "result"
-    disk.mkdir()
-    run, preset = disk / "run", tmp_path / "preset.toml"
-    preset.write_text(preset_text(settings(checkpoint_minutes=0.0)))
-    command = shlex.join(words("night-train", closed_form_scenes.root, "--preset", preset, "--out", run))
-    # On one thread, as the run to compare with.
-    script = f"export OMP_NUM_THREADS=1; {command}; echo $? > {tmp_path}/code; "
-    script += f"[ -f {run}/run.json ] && resume=--resume && cp -r {run} {tmp_path}/full; "
-    script += f"mount -o remount,size=64m {disk}; "
-    script += f"{command} $resume && cp -r {run} {result}"
-    done = on_small_disk(disk, kilobytes, script)
-    said = re.findall(r"^Error: (.*)", done.stderr, re.MULTILINE)
-    assert "Traceback" not in done.stderr
-    assert (tmp_path / "code").read_text() == "2\n", done.stderr
-    assert len(said) == 1, done.stderr
-    assert said[0].startswith(f"{run}")
-    assert "No space left on device" in said[0]
-    if (tmp_path / "full" / "best.safetensors").exists():
-        load(tmp_path / "full", "cpu")
-    assert_same_end(result, finished_run)

@@ -10,7 +10,7 @@ import torch
 from night_commands import night_here
 from synthetic_dataset import write_synthetic_dataset
 from torch.nn import functional
-from training_runs import FLIP, assert_same_end, config_of, edit_config, settings
+from training_runs import FLIP, config_of, edit_config, settings
 
 from itof import phasor_of_return, read_image, write_image
 from itof.metrics import image_metrics, no_object_metrics, summarise
@@ -122,14 +122,6 @@ def test_a_trained_network_beats_no_object_and_averages_mirror_images(run, shard
     # The wall of these scenes is symmetric about the camera's height.
     upside_down = predictor.predict(block.phasors[:, ::-1]).phasor[:, ::-1]
     np.testing.assert_allclose(upside_down, found.phasor, atol=1e-4)
-
-
-def test_a_resumed_training_ends_as_if_uninterrupted(closed_form_scenes, tmp_path):
-    chosen = settings(**COURSE | {"max_epochs": 2, "ema_decay": 0.9})
-    train(closed_form_scenes, tmp_path / "whole", chosen)
-    train(closed_form_scenes, tmp_path / "run", settings(**COURSE | {"max_epochs": 1, "ema_decay": 0.9}))
-    train(closed_form_scenes, tmp_path / "run", chosen, resume=True)
-    assert_same_end(tmp_path / "run", tmp_path / "whole")
 
 
 @pytest.mark.long

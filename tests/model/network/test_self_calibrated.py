@@ -9,7 +9,7 @@ import torch
 from measurements import write_npz
 from night_commands import refusal
 from synthetic_dataset import write_synthetic_dataset
-from training_runs import SEEING, assert_same_end, config_of, settings, train_on_one_thread
+from training_runs import SEEING, config_of, settings, train_on_one_thread
 from wall_measurements import farther
 
 from itof.files.measurement_files import MeasurementError
@@ -157,14 +157,6 @@ def test_the_error_of_a_square_wave_is_taken_out_on_request(self_run, shards):
         )
         changes[reference] = np.linalg.norm(after - before) / np.linalg.norm(before)
     assert changes["self+wiggling"] < 0.05 < changes["self"] / 5
-
-
-def test_a_resumed_self_calibrated_run_ends_as_if_uninterrupted(closed_form_scenes, tmp_path):
-    chosen = settings(**SELF | {"max_epochs": 2})
-    train(closed_form_scenes, tmp_path / "whole", chosen)
-    train(closed_form_scenes, tmp_path / "run", settings(**SELF | {"max_epochs": 1}))
-    train(closed_form_scenes, tmp_path / "run", chosen, resume=True)
-    assert_same_end(tmp_path / "run", tmp_path / "whole")
 
 
 def test_a_file_of_another_wall_is_predicted_without_a_warning_about_it(self_run, shards, tmp_path):

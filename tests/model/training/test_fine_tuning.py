@@ -35,7 +35,6 @@ from scenegen import open_dataset
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STILL = {"learning_rate": 1e-30, "noise_sigma": 0.0, "max_epochs": 1}
-FROZEN = {"encoder": ("encoder.",), "all-but-head": ("encoder.", "upsampling.", "decoder.")}
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from dataclasses import replace
 import psutil
 import pytest
 from dask_processes import dask_processes
+from full_disk import small_disk
 from night_commands import night_here
 from render_runs import (
     begun,
@@ -22,7 +23,6 @@ from render_runs import (
     wait_for,
     workers_of,
 )
-from small_disk import small_disk
 
 from render import render_files
 from render.farm import jobs

@@ -58,13 +58,3 @@ def test_a_command_with_other_settings_does_not_disturb_a_run(three_missing, sev
     assert first.returncode == 0, errors
     assert output.startswith("3 scenes rendered, 4 were there")
     assert results(three_missing) == results(seven_renders)
-
-
-@pytest.mark.thorough
-def test_two_commands_with_local_workers_share_the_work(unrendered, seven_renders):
-    processes = [start_render(unrendered), start_render(unrendered)]
-    outputs = [process.communicate(timeout=600) for process in processes]
-    assert [process.returncode for process in processes] == [0, 0], outputs
-    counts = [re.match(r"(\d+) scenes rendered, (\d+) were there", output) for output, _ in outputs]
-    assert sum(int(match[1]) for match in counts) == 7
-    assert results(unrendered) == results(seven_renders)

@@ -14,7 +14,7 @@ import pytest
 from dask_processes import dask_processes
 from distributed import Client
 from night_commands import night_here
-from render_runs import SETTINGS, begun, claim_of, is_worker, results, start_render, wait_for, workers_of
+from render_runs import SETTINGS, is_worker
 
 from render.farm.clusters import check_cluster, connected
 from render.farm.dask_settings import ClusterError, dask_settings
@@ -246,33 +246,3 @@ def test_workers_that_do_not_start_in_time_end_the_run_in_one_sentence(unrendere
     assert done.returncode == 2
     assert "Error: the worker processes did not start, within 3 s: try fewer" in done.stderr.splitlines()[-1]
     assert not [child for child in psutil.Process().children() if is_worker(child)]
-
-
-def has_loaded_mitsuba(worker):
-    with suppress(psutil.NoSuchProcess):
-        return any("mitsuba" in mapped.path for mapped in worker.memory_maps())
-    return False
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("event", ["it is there", "it has loaded Mitsuba", "it has begun a scene"])
-def test_a_worker_that_is_killed_during_the_start_changes_no_result(unrendered, seven_renders, event):
-    happened = {
-        "it is there": bool,
-        "it has loaded Mitsuba": lambda workers: any(map(has_loaded_mitsuba, workers)),
-        "it has begun a scene": lambda workers: workers and begun(claim_of(unrendered, "000000")),
-    }[event]
-    process = start_render(unrendered, "--workers", "1", "--only", "000000")
-    wait_for(lambda: happened(workers_of(process)))
-    workers = workers_of(process)
-    for worker in workers:
-        with suppress(psutil.NoSuchProcess):
-            worker.kill()
-    output, errors = process.communicate()
-    assert process.returncode == 0, errors
-    assert "Traceback" not in errors
-    assert output.startswith("1 scene rendered")
-    assert not psutil.wait_procs(workers, timeout=300)[1]
-    of_scene = {name: found for name, found in results(unrendered).items() if "000000/" in name}
-    assert of_scene
-    assert of_scene.items() <= results(seven_renders).items()

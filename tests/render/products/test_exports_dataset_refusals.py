@@ -11,10 +11,8 @@ import pytest
 from full_disk import file_size_limit
 from night_commands import night_here, refusal
 from render_records import record_anew
-from small_disk import small_disk
 from synthetic_dataset import edit_image, write_synthetic_dataset, write_synthetic_render
 
-from disk import sha256_of
 from render.products.conversion import ExportError
 from render.products.dataset_export import export_dataset
 from scenegen import FailureRecord, open_dataset, read_record, write_failure, write_record
@@ -188,15 +186,3 @@ def test_a_file_that_found_no_room_is_named_and_leaves_nothing(exported, seven_r
             export_dataset(dataset, out)
         assert str(refused.value) == f"cannot write {out}: File too large"
         assert list(out.parent.iterdir()) == []
-
-
-def test_a_full_disk_ends_the_command_in_one_sentence(exported, seven_renders, tmp_path):
-    with small_disk(tmp_path / "disk") as resize:
-        resize(exported.stat().st_size // 2)
-        out = tmp_path / "disk" / "x.h5"
-        sentence = refusal("night-render", "export", seven_renders, "--out", out)
-        assert sentence == f"cannot write {out}: No space left on device"
-        assert list(out.parent.iterdir()) == []
-        resize(4 * exported.stat().st_size)
-        assert night_here("night-render", "export", seven_renders, "--out", out).returncode == 0
-        assert sha256_of(out) == sha256_of(exported)

@@ -9,9 +9,8 @@ import threading
 import h5py
 import numpy as np
 import pytest
-from full_disk import file_size_limit
+from full_disk import file_size_limit, small_disk
 from night_commands import night_here, refusal
-from small_disk import small_disk
 
 from render.products import zarr_copy
 from render.products.conversion import ExportError

@@ -1,7 +1,6 @@
 """Rendered files that differ from their record are refused before anything parses them."""
 
 import json
-import os
 import shutil
 
 import pytest
@@ -9,7 +8,6 @@ from previews import grey_view
 from render_records import problems, record_anew
 
 from disk import OutsideError
-from itof import TransientReader, read_image
 from model.data.renders import read_render
 from render.products.conversion import convert_to_itof, open_transient
 from render.products.tal_export import export_tal
@@ -127,17 +125,3 @@ def test_a_link_out_of_the_folder_is_not_followed(transient_copy, tmp_path):
     with pytest.raises(OutsideError, match=r"transient\.exr is a symbolic link"):
         recorded_file(transient_copy, SCENE, "transient.exr")
     assert "symbolic link" in problems(transient_copy, SCENE)[0]
-
-
-def test_a_pipe_is_no_record(transient_copy):
-    folder = transient_copy.render_folder(SCENE)
-    (folder / "render.json").unlink()
-    os.mkfifo(folder / "render.json")
-    assert read_record(folder) is None
-
-
-def test_an_unchanged_file_is_read(transient_copy):
-    with TransientReader(recorded_file(transient_copy, SCENE, "transient.exr")) as reader:
-        assert reader.layout.width == 24
-    for name in ("itof.exr", "mirrored.exr"):
-        assert read_image(recorded_file(transient_copy, SCENE, name)).channels

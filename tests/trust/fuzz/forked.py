@@ -175,3 +175,11 @@ def _close_hdf5():
     import h5py.h5
 
     ctypes.CDLL(h5py.h5.__file__).H5close()
+
+
+def permissions_count():
+    """Root gives up the right to ignore the permissions of files; others do not have it."""
+    if os.geteuid() == 0:
+        header = (ctypes.c_uint32 * 2)(0x20080522, 0)  # _LINUX_CAPABILITY_VERSION_3, this process
+        sets = (ctypes.c_uint32 * 6)()  # effective, permitted and inheritable capabilities, twice 32 bits
+        assert ctypes.CDLL(None).capset(header, sets) == 0

@@ -4,8 +4,10 @@ import shutil
 
 import h5py
 import numpy as np
+import OpenEXR
 import trimesh
 from captures import steps, taps_of, write_sidecar
+from exr_bytes import COMPRESSIONS, OTHERS
 from night_commands import night_here
 from scipy.io import savemat
 from synthetic_dataset import write_synthetic_dataset
@@ -140,6 +142,10 @@ def _write_measurements(work, closed):
         with h5py.File(work / f"{name}.h5", "w") as file:
             for key, values in arrays.items():
                 file[key] = values
+    for compression in (*COMPRESSIONS, *OTHERS):  # as other programs write it
+        with OpenEXR.File(str(work / "itof.exr")) as file:
+            file.header()["compression"] = getattr(OpenEXR, f"{compression}_COMPRESSION")
+            file.write(str(work / f"{compression}.exr"))
 
 
 def _write_frames(work):

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from full_disk import small_disk
 from jobs import EXPORT, GEN, JUDGE, PREDICT, RENDER, TO_ITOF, TO_TAL, TRAIN, Stage
-from small_disk import small_disk
 
 pytestmark = pytest.mark.thorough
 PLACES = {GEN: 6, RENDER: 6, TRAIN: 8, JUDGE: 3, PREDICT: 7, TO_ITOF: 5, TO_TAL: 5, EXPORT: 5}  # 45 in all
