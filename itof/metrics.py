@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import ArrayLike
+
+from itof.arrays import A
 
 NUMBERS = ("MAE cm", "mIoU", "object MAE cm")  # by which depth maps are compared, as heads of a table
 
@@ -109,7 +110,7 @@ def image_metrics(
     )
 
 
-def mask_iou(pred: Any, truth: Any) -> Any:
+def mask_iou(pred: A, truth: A) -> A:
     """(...) intersection over union of (..., H, W) bool masks; 1 if both are empty.
 
     The masks are arrays of numpy, torch or another library of the array API.

@@ -49,13 +49,13 @@ def refuse_wrapping_depths(preset: Preset, meshes: Mapping[Shape, UnitMesh]) -> 
         )
 
 
-def turns_of_first_phase(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> int:
+def turns_of_first_phase(preset: Preset) -> int:
     """How often the phase at the first frequency turns over the depths of mirrored scenes; 1 represents all.
 
     The depths are those up to `largest_mirrored_depth_m`.
     """
     range_m = speed_of_light / (2 * preset.itof.frequencies_hz[0])
-    return floor(largest_mirrored_depth_m(preset, meshes) * (1 + _ROUNDING) / range_m) + 1
+    return floor(largest_mirrored_depth_m(preset) * (1 + _ROUNDING) / range_m) + 1
 
 
 def largest_mirrored_depth_m(preset: Preset, meshes: Mapping[Shape, UnitMesh] = NO_MESHES) -> float:

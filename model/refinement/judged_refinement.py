@@ -18,7 +18,7 @@ from model.judging.judged_split import open_split
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import load
 from model.refinement.family import Family, family_of, refuse_misfit
-from model.refinement.refined_figure import MOST_SCENES, write_refined_figure
+from model.refinement.figures import MOST_SCENES, write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport
 from model.refinement.settings import LARGEST_MISFIT, Unknown
 from model.refinement.work import SCENES_FOLDER, Job, Recipe, read_result, worked

@@ -19,10 +19,9 @@ from model.prediction.explanation import RefinedImage
 from model.prediction.predicted_image import FilePrediction
 from model.prediction.prediction_files import predict_file
 from model.prediction.predictor import load
-from model.refinement.explaining import explained
 from model.refinement.family import Family, family_of, refuse_misfit
+from model.refinement.figures import light_figure
 from model.refinement.light.corner_light import CornerLight, with_camera_at
-from model.refinement.light_figure import light_figure
 from model.refinement.refining import refined
 from model.refinement.room import corner_of, refuse_unseen_wall
 from model.refinement.settings import LARGEST_MISFIT, UNKNOWNS, Unknown
@@ -118,7 +117,7 @@ class _FileRefiner:
             room = Room(camera_axes(camera), np.asarray(wall.plane_per_m), middle_m)
         if found is None:
             return RefinedImage(prediction, room=room)
-        outcome = explained(found, prediction, expected_m, self.largest_misfit)
+        outcome = found.explained(prediction, expected_m, self.largest_misfit)
         fit = found.fit
         (misfit,) = fit.comparison.misfits([fit.candidate])
         picture = light_figure(

@@ -11,14 +11,16 @@ from scipy.ndimage import binary_erosion
 
 from itof import DepthMap
 from itof.wall.expected_wall import ExpectedWall
+from model.prediction.explanation import Explanation, FoundSolid
 from model.refinement.evidence import Prior, Spread, against_nothing
 from model.refinement.family import Family
 from model.refinement.hidden_light import HiddenLight
 from model.refinement.least_squares import Comparison, Fit
-from model.refinement.light.corner_light import CornerLight
+from model.refinement.light.corner_light import CornerLight, vector
 from model.refinement.search import Search
 from model.refinement.settings import LARGEST_MISFIT
 from model.refinement.sketch import Sketch
+from model.refinement.unknowns import stretches
 from scenegen.scene import HiddenObject, Scene
 
 _COLUMNS = 40  # of the depth maps that count as evidence
@@ -81,6 +83,29 @@ class Refined:
     def difference_m(self, prediction: DepthMap) -> float:
         """Mean absolute difference to another depth map over all pixels; background counts as 0."""
         return float(np.abs(self.depth_map.radial_depth_m - prediction.radial_depth_m).mean())
+
+    def explained(self, prediction: DepthMap, expected_m: float | None, largest_misfit: float) -> Explanation:
+        """The solids with their uncertainty, and whether they are accepted (`is_right`)."""
+        return Explanation(
+            tuple(self._found(part) for part in range(len(self.solids))),
+            self.is_right(expected_m, largest_misfit=largest_misfit),
+            self.misfit,
+            self.noise,
+            self.difference_m(prediction),
+            self.spread.expected_mae_m,
+            self.reflectance,
+            self.roughness,
+        )
+
+    def _found(self, part: int) -> FoundSolid:
+        solid = self.solids[part]
+        place, turn, size = (self.spread.of(kind, part) for kind in ("place", "turn", "size"))
+        turn = turn if len(turn) else np.zeros(3)
+        size = size @ stretches(solid.shape) if len(size) else np.zeros(3)
+        return FoundSolid(
+            *(solid.shape, solid.size_m, solid.location_m, solid.rotation_deg),
+            *(vector(place), vector(np.degrees(turn)), vector(size * np.asarray(solid.size_m))),
+        )
 
 
 def refined(

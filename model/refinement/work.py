@@ -27,7 +27,6 @@ from model.device import one_thread
 from model.judging.judging import Bench
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import Predictor, load
-from model.refinement.explaining import explained
 from model.refinement.family import Family
 from model.refinement.light.corner_light import CornerLight, known_corner
 from model.refinement.refined_result import RefinedScene, SceneNumbers
@@ -93,7 +92,7 @@ class Work:
         )
         explanation = None
         if found is not None:
-            explanation = explained(found, prediction, expected_m, self.recipe.largest_misfit)
+            explanation = found.explained(prediction, expected_m, self.recipe.largest_misfit)
         better = found.depth_map if found and explanation and explanation.accepted else prediction
         truth = block.radial_depth_m[0], block.mask[0]
         result = RefinedScene(

@@ -21,10 +21,7 @@ TABLE = [
     ("night-gen scenes {out} --preset {file}", "{file} cannot be read as TOML"),
     (f"night-gen scenes {{out}} --preset {'x' * 5000}", "File name too long"),
     ("night-gen scenes {out} --count 0", "dataset.count must be greater than or equal to 1 (got 0)"),
-    (
-        f"night-gen scenes {{out}} --count {BIG}",
-        "dataset.count must be less than or equal to 1000000",
-    ),
+    (f"night-gen scenes {{out}} --count {BIG}", "dataset.count must be less than or equal to 1000000"),
     ("night-gen scenes {out} --count many", "'many' is not a valid integer"),
     ("night-gen scenes {out} --seed -1", "dataset.seed must be greater than or equal to 0 (got -1)"),
     (f"night-gen scenes {{out}} --seed {2**63}", "dataset.seed must be less than"),
@@ -230,8 +227,7 @@ def test_bad_input_is_refused_in_one_sentence_and_writes_nothing(places, tmp_pat
 
 
 @pytest.mark.parametrize(
-    "line",
-    ["night-render {data}", "night-train {data} --out {out}", "night-eval {run} {data} --out {out}"],
+    "line", ["night-render {data}", "night-train {data} --out {out}", "night-eval {run} {data} --out {out}"]
 )
 def test_cuda_where_there_is_none_is_refused(places, tmp_path, line):
     import torch

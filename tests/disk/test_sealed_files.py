@@ -91,7 +91,7 @@ def test_a_set_that_cannot_be_written_names_its_place_and_the_others_are_written
     (tmp_path / "2" / "seal").write_text("old")
     found = write_sealed([sealed(tmp_path / str(number), "text") for number in range(4)])
     assert [getattr(error, "filename", None) for error in found] == [
-        *(str(tmp_path / "0"), None, str(tmp_path / "2" / "b"), None),
+        *(str(tmp_path / "0"), None, str(tmp_path / "2" / "b"), None)
     ]
     assert texts(tmp_path / "1") == texts(tmp_path / "3") == dict.fromkeys(("a", "b", "seal"), "text")
     assert texts(tmp_path / "2") == {"seal": "old"}

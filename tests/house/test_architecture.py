@@ -55,12 +55,12 @@ WINGS = {
         *(f"render.transport.{name}" for name in ("method", "film", "kernels", "lights", "passes")),
     },
     "render.batch": {
-        *("render.backend", "render.walls", "render.transport.kernels", "render.transport.lights"),
+        *("render.backend", "render.walls", "render.transport.kernels", "render.transport.lights")
     },
     "render.edited_scenes": {"render.settings"},
     "render.render_files": {"render.settings"},
     "render.room_layer": {
-        *("render.transport", "render.transport.method", "render.transport.lights", "render.settings"),
+        *("render.transport", "render.transport.method", "render.transport.lights", "render.settings")
     },
     "render.rendering": {
         *("render.room_layer", "render.render_files"),

@@ -26,12 +26,7 @@ def run(language, block, folder):
     command = ["bash", "-ec", block] if language == "sh" else [sys.executable, "-c", block]
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
+        command, cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, f"{block}\n{done.stderr}"
     return done.stdout

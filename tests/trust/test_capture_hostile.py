@@ -117,11 +117,7 @@ def test_a_record_has_the_checksums_of_all_files(tmp_path):
     np.savez(tmp_path / "dark.npz", dark=0 * RAW)
     sidecar = write_sidecar(tmp_path / "sidecar.toml", dark_arrays=["dark"], calibration_file="dark.npz")
     made = import_capture(
-        tmp_path / "frames.npz",
-        sidecar,
-        tmp_path / "out.npz",
-        empty=tmp_path / "corner.npz",
-        progress=False,
+        tmp_path / "frames.npz", sidecar, tmp_path / "out.npz", empty=tmp_path / "corner.npz", progress=False
     )
     record = read_import_record(made.out)
     found = [(record.inputs, "frames"), (record.empty_inputs, "corner"), (record.calibration_inputs, "dark")]

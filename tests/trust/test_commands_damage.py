@@ -94,10 +94,7 @@ def with_nan(file):
         (lambda file: file.write_bytes(file.read_bytes()[:-300]), "EXR file ("),
         (lambda file: write_image(file, {"R": np.ones((18, 24))}, {}), "holds no phasors"),
         # A channel name that is not UTF-8, on which the OpenEXR library crashes.
-        (
-            lambda file: file.write_bytes(file.read_bytes().replace(b"itof.20", b"itof\xff20")),
-            "EXR file (",
-        ),
+        (lambda file: file.write_bytes(file.read_bytes().replace(b"itof.20", b"itof\xff20")), "EXR file ("),
         (with_nan, "holds 1 values that are NaN"),
     ],
     ids=["truncated", "foreign", "no text", "NaN"],

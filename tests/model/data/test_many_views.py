@@ -110,10 +110,7 @@ def test_each_scene_draws_one_reflectance_for_all_of_its_objects():
     ("tables", "words"),
     [
         ({"camera_spread": {"horizontal_fov_deg": 59.5}}, "out of 1 to 170 degrees: got 59.5"),
-        (
-            {"camera_spread": {"horizontal_fov_deg": -1.0}},
-            "camera_spread.horizontal_fov_deg must be",
-        ),
+        ({"camera_spread": {"horizontal_fov_deg": -1.0}}, "camera_spread.horizontal_fov_deg must be"),
         ({"hidden_object": {"least_reflectance": 0.9, "reflectance": 0.5}}, "0.9, above hidden_object.refl"),
         ({"hidden_object": {"least_reflectance": 1.5}}, "hidden_object.least_reflectance must be"),
     ],

@@ -11,12 +11,7 @@ from synthetic_dataset import edit_image, write_synthetic_dataset, write_synthet
 from itof import ImageFileError, read_image, write_image
 from model.data.renders import ShardError, read_render
 from model.data.shards import _without_failures, open_shards
-from scenegen import (
-    DatasetError,
-    FailureRecord,
-    RenderFileError,
-    write_failure,
-)
+from scenegen import DatasetError, FailureRecord, RenderFileError, write_failure
 
 WIDTH, HEIGHT = 11, 7
 

@@ -83,10 +83,7 @@ def test_the_ablations_of_a_hand_made_prediction(on):
     missed, false = (
         ([float(x) for x in target[0, :, 0, 1].abs()], [0.6, 0.8])
         if on == "components"
-        else (
-            [3.0],
-            [false_m],
-        )
+        else ([3.0], [false_m])
     )
     weight = (1 / 7) * 4 / 2  # alpha |B| / |O|
 

@@ -20,8 +20,8 @@ from itof import DepthMap, read_image
 from model.judging.refusals import EvaluationError
 from model.prediction.explanation import Explanation, FoundSolid
 from model.prediction.predictor import load
+from model.refinement.figures import write_refined_figure
 from model.refinement.judged_refinement import refine_split
-from model.refinement.refined_figure import write_refined_figure
 from model.refinement.refined_result import RefinedScene, RefinementReport, SceneNumbers
 from model.run_folder.shipped import run_folder
 from scenegen import open_dataset

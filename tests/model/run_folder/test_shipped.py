@@ -46,7 +46,7 @@ def test_each_is_a_run_with_a_card_that_calibrates_itself(name):
     for words in ("Training data", "Command", "Results", "Limits"):
         assert f"## {words}\n" in card
     assert {file.name for file in RUNS[name].iterdir()} == {
-        *("run.json", "best.safetensors", "history.csv", "README.md"),
+        *("run.json", "best.safetensors", "history.csv", "README.md")
     }
 
 

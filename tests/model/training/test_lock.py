@@ -10,8 +10,8 @@ import time
 import pytest
 import torch
 from night_commands import refusal
-from training_processes import TORCHRUN, errors_of, start, wait_for_the_first_epoch
-from training_runs import assert_same_end, settings
+from training_processes import TORCHRUN, errors_of, start
+from training_runs import settings
 
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
@@ -129,18 +129,6 @@ def test_of_trainings_that_start_into_one_folder_exactly_one_goes_on(closed_form
         assert len(refused) == 2
         assert all("is training into" in one or "exists already" in one for one in refused)
         load(run, "cpu")
-
-
-@pytest.mark.long
-def test_a_killed_training_is_resumed_to_the_same_weights(closed_form_scenes, tmp_path):
-    run, changes = tmp_path / "run", {"max_epochs": 6, "batch_size": 1, "checkpoint_minutes": 0.0}
-    process = start(closed_form_scenes, run, **changes)
-    wait_for_the_first_epoch(run, process)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
-    assert start(closed_form_scenes, run, "--resume", **changes).wait() == 0, errors_of(run).read_text()
-    assert start(closed_form_scenes, tmp_path / "whole", **changes).wait() == 0
-    assert_same_end(run, tmp_path / "whole")
 
 
 @pytest.mark.long

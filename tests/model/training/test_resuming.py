@@ -100,22 +100,6 @@ def test_pieces_change_nothing_as_long_as_memory_holds_them_all(streamed, finish
     assert (tmp_path / "streamed" / "best.safetensors").read_bytes() != weights
 
 
-def test_an_interrupted_epoch_is_begun_again(closed_form_scenes, whole, tmp_path):
-    run, killed = tmp_path / "run", []
-    every_batch = settings(checkpoint_minutes=0.0)
-
-    def kill(_: object) -> None:
-        if checkpoint(run)["position"]["batches"] and not killed:
-            killed.append(True)
-            raise KeyboardInterrupt
-
-    with before_each_network(kill), pytest.raises(KeyboardInterrupt):
-        train(closed_form_scenes, run, every_batch)
-    assert killed
-    assert train(closed_form_scenes, run, settings(), resume=True) == whole[2][0]
-    assert_same_end(run, whole[2][1])
-
-
 @pytest.mark.parametrize(
     ("number", "ending"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
 )

@@ -14,15 +14,7 @@ import pytest
 from dask_processes import dask_processes
 from full_disk import small_disk
 from night_commands import night_here
-from render_runs import (
-    begun,
-    claim_of,
-    meanwhile,
-    results,
-    start_render,
-    wait_for,
-    workers_of,
-)
+from render_runs import begun, claim_of, meanwhile, results, start_render, wait_for, workers_of
 
 from render import render_files
 from render.farm import jobs

@@ -5,12 +5,7 @@ import tomllib
 import pytest
 from night_commands import PRESET, refusal
 
-from scenegen import (
-    RenderingRecord,
-    preset_from_dict,
-    read_rendering_record,
-    write_rendering_record,
-)
+from scenegen import RenderingRecord, preset_from_dict, read_rendering_record, write_rendering_record
 
 RECORD = RenderingRecord(
     method="path",

@@ -15,16 +15,7 @@ import pytest
 from distributed import KilledWorker
 from distributed.protocol.pickle import loads
 from night_commands import night, night_here
-from render_runs import (
-    SETTINGS,
-    claim_of,
-    killed_in,
-    results,
-    run_log,
-    start_render,
-    wait_for,
-    workers_of,
-)
+from render_runs import SETTINGS, claim_of, killed_in, results, run_log, start_render, wait_for, workers_of
 
 from render.farm.clusters import connected
 from render.farm.jobs import Outcome, render_scenes

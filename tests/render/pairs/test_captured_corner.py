@@ -93,8 +93,7 @@ def test_the_camera_of_the_preset_sees_the_wall_where_the_camera_of_a_drawn_corn
 
 
 @pytest.mark.parametrize(
-    ("right_deg", "up_deg", "roll_deg"),
-    [(40, 0, 0), (-30, 10, 0), (20, -15, 8), (35, 0, 90), (-35, 5, 180)],
+    ("right_deg", "up_deg", "roll_deg"), [(40, 0, 0), (-30, 10, 0), (20, -15, 8), (35, 0, 90), (-35, 5, 180)]
 )
 def test_the_pose_is_that_of_a_camera_before_a_plumb_wall_with_a_known_roll(
     tmp_path, right_deg, up_deg, roll_deg

@@ -281,11 +281,7 @@ def test_folders_that_are_no_pairs_are_refused_in_a_sentence(pair_folders, tmp_p
     small.mkdir()
     for name in ("measurement", "mirror"):
         values = np.load(pair_folders[0] / f"{name}.npz")
-        np.savez(
-            small / f"{name}.npz",
-            phasors=values["phasors"][:, 2:-2],
-            frequencies_hz=HZ,
-        )
+        np.savez(small / f"{name}.npz", phasors=values["phasors"][:, 2:-2], frequencies_hz=HZ)
     assert "import all of them at one size" in refusal(*basis, pair_folders[0], small, *rest)
     assert "is named twice" in refusal(*basis, small, small, *rest)
     assert "describe one corner" in refusal(*basis, small, "--preset", "any-corner", *rest[2:])

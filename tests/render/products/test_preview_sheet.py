@@ -27,10 +27,7 @@ def test_a_tile_holds_what_was_rendered(corners):
         depth_m, mask = truth.channel("depth.R"), truth.channel("mask.M") > 0
         np.testing.assert_array_equal(tile.radial_depth_m[mask], depth_m[mask])
         assert np.isnan(tile.radial_depth_m[~mask]).all()
-        entry, roughness = (
-            corners.entry(scene_id),
-            corners.scene(scene_id).relay_wall.roughness,
-        )
+        entry, roughness = (corners.entry(scene_id), corners.scene(scene_id).relay_wall.roughness)
         words = (scene_id, entry.object_class.replace("_", " "), entry.split, f"roughness {roughness:.2f}")
         assert tile.title.split("   ") == list(words)
 

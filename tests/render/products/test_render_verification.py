@@ -25,13 +25,7 @@ from render.products.geometry import traced_depth_m
 from render.products.verification import verify
 from render.rendering import Renderer
 from render.settings import RenderSettings
-from scenegen import (
-    camera_axes,
-    open_dataset,
-    read_record,
-    wall_normal,
-    write_record,
-)
+from scenegen import camera_axes, open_dataset, read_record, wall_normal, write_record
 
 SCENES = ("000000", "000003")  # a cube and the composite
 

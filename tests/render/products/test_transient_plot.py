@@ -12,12 +12,7 @@ from PIL import Image
 from itof import MeasurementMatrix, TransientLayout, TransientReader, TransientWriter, read_image
 from render.products.conversion import ExportError
 from render.products.tiles import read_tile
-from render.products.transient_parts import (
-    _shortest_way_m,
-    direct_end_m,
-    first_hidden_bin,
-    hidden_start_m,
-)
+from render.products.transient_parts import _shortest_way_m, direct_end_m, first_hidden_bin, hidden_start_m
 from render.products.transient_plot import pixel_transient, transient_figure, write_transient_plot
 
 HZ = (20e6, 50e6, 60e6)

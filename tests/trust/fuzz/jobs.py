@@ -51,7 +51,7 @@ JUDGE = Job(
     *(("report", *SHARDS), ("report",)),
 )
 PREDICT = Job(
-    *("night-eval predict", "night-eval predict run other.exr --out pred --device cpu", ("pred",), ("pred",)),
+    *("night-eval predict", "night-eval predict run other.exr --out pred --device cpu", ("pred",), ("pred",))
 )
 TO_ITOF = Job("night-render convert --to itof", f"{_CONVERT}itof", ("new",), ("new",))
 TO_TAL = Job("night-render convert --to tal", f"{_CONVERT}tal", ("new",), ("new",))
