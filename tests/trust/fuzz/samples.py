@@ -7,7 +7,7 @@ import numpy as np
 import OpenEXR
 import trimesh
 from captures import steps, taps_of, write_sidecar
-from exr_bytes import COMPRESSIONS, OTHERS
+from exr_bytes import COMPRESSIONS
 from night_commands import night_here
 from scipy.io import savemat
 from synthetic_dataset import write_synthetic_dataset
@@ -142,7 +142,7 @@ def _write_measurements(work, closed):
         with h5py.File(work / f"{name}.h5", "w") as file:
             for key, values in arrays.items():
                 file[key] = values
-    for compression in (*COMPRESSIONS, *OTHERS):  # as other programs write it
+    for compression in COMPRESSIONS:  # as other programs write it
         with OpenEXR.File(str(work / "itof.exr")) as file:
             file.header()["compression"] = getattr(OpenEXR, f"{compression}_COMPRESSION")
             file.write(str(work / f"{compression}.exr"))

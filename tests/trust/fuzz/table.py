@@ -3,7 +3,7 @@
 import forging
 from damage import ANY_BYTES, ANY_TEXT, BYTES_OR_TEXT
 from damage_formats import CHECKPOINT, EXR, HDF5, JSON, NPY, NPZ, SAFETENSORS, YAML
-from exr_bytes import COMPRESSIONS, OTHERS
+from exr_bytes import COMPRESSIONS
 from forging import PIECE, RENDER, RUN, SCENE
 from kinds import Kind, Reader
 from samples import MESHES
@@ -57,7 +57,7 @@ MEASUREMENTS = (
     Kind("measurement .exr", "itof.exr", EXR, PREDICT, 0.3, other="other.exr"),
     *(
         Kind(f"measurement, {each}", f"{each}.exr", EXR, PREDICT, 0.05, other="other.exr")
-        for each in (*COMPRESSIONS, *OTHERS)
+        for each in COMPRESSIONS
     ),
     Kind("measurement .npz", "itof.npz", NPZ, PREDICT, 1, other="other.npz"),
     Kind("measurement .h5", "itof.h5", HDF5, PREDICT, 1, other="other.h5"),
