@@ -12,8 +12,9 @@ import click
 
 from commandline.endings import NightCommand
 from commandline.networks_of_presets import BUDGET_S, make_network
-from commandline.options import FOLDER, Duration, option
+from commandline.options import FOLDER, Duration, Number, option
 from commandline.results import JSON, tell
+from commandline.streams import say
 from commandline.training_options import SET, TRAINING, given_settings
 from disk import PresetError, read_settings
 from model.settings.fine_tuning import fine_tuning_course
@@ -51,7 +52,14 @@ _OF_A_NETWORK: Final = ("input", "network", "target")  # settings that a network
     "wanted_for",
     metavar="PRESET",
     help="Instead of DATASET: make one in OUT-scenes, train on fresh scenes of this preset, from the nearest "
-    "network that comes with NIGHT, and judge in OUT-report.",
+    "network that comes with NIGHT, and judge in OUT-report. Or a capture of the empty corner, with --gap.",
+)
+@click.option(
+    "--gap",
+    "gap_m",
+    type=Number(0.01, 100),
+    metavar="METRES",
+    help="With --for and a capture: from the relay wall to the middle wall, which no capture shows.",
 )
 @click.option(
     "--budget", "budget_s", type=Duration(), help="With --for: time of the training.  [default: 30min]"
@@ -67,6 +75,7 @@ def night_train(
     start_from: Path | None,
     fresh: str | None,
     wanted_for: str | None,
+    gap_m: float | None,
     budget_s: float | None,
     as_json: bool,
     preset: str | None,
@@ -89,10 +98,12 @@ def night_train(
     chosen = data, origin, given_settings(options, assignments)
     if wanted_for is not None:
         _refuse_mixed(dataset, fresh)
-        _train_for(wanted_for, out, resume, start_from, budget_s, chosen, as_json)
+        found = _corner_of_capture(wanted_for, gap_m) or _preset_of_scenes(wanted_for)
+        _train_for(wanted_for, found, out, resume, start_from, budget_s, chosen, as_json)
         return
-    if dataset is None or budget_s is not None:
-        raise click.UsageError("--budget goes with --for" if dataset else "give DATASET, or --for PRESET")
+    if dataset is None or budget_s is not None or gap_m is not None:
+        own = "--budget" if gap_m is None else "--gap"
+        raise click.UsageError(f"{own} goes with --for" if dataset else "give DATASET, or --for PRESET")
     opened = open_dataset(dataset)
     before = model.run_settings(out) if resume else {}
     inherited = model.fine_tuning_settings(start_from) if start_from is not None else {}
@@ -137,6 +148,7 @@ def _budget_s(budget_s: float | None, chosen: Mapping[str, Any], resume: bool) -
 
 def _train_for(
     name: str,
+    scenes: tuple[Preset, dict[Shape, UserMesh], Path],
     out: Path,
     resume: bool,
     start_from: Path | None,
@@ -144,12 +156,12 @@ def _train_for(
     chosen: tuple[dict[str, Any], str, dict[str, Any]],
     as_json: bool,
 ) -> None:
-    """Train for the scenes of a preset."""
+    """Train for the scenes of a preset, the meshes that it names, and their folder."""
     import model
     from model.run_folder.run_config import CONFIG_FILE
     from model.training.nearest import nearest_network
 
-    preset, meshes, folder = _preset_of_scenes(name)
+    preset, meshes, folder = scenes
     data, _, given = chosen
     resume = resume and (out / CONFIG_FILE).is_file()  # it may have been interrupted before the training
     budget_s = _budget_s(budget_s, merged(data, given).get("run", {}), resume)
@@ -189,6 +201,35 @@ def _preset_of_scenes(name_or_file: str) -> tuple[Preset, dict[Shape, UserMesh],
     preset, meshes = with_meshes(preset, Path(origin).parent)
     refuse_impossible_corner(preset, meshes)
     return preset, meshes, Path(origin).parent
+
+
+def _corner_of_capture(name: str, gap_m: float | None) -> tuple[Preset, dict[Shape, UserMesh], Path] | None:
+    """The same for the corner whose empty wall a measurement file shows; None for a preset."""
+    from itof.files.measurement_writing import ENDINGS
+    from render.pairs.captured_corner import captured_corner
+    from scenegen.corner_check import refuse_impossible_corner
+
+    if not name.lower().endswith(ENDINGS):
+        if gap_m is not None:
+            raise click.UsageError("--gap is for a capture: a preset has middle_wall, so leave it out")
+        return None
+    by_hand = f"night-eval capture corner {name} --out FILE.toml"
+    if gap_m is None:
+        raise click.UsageError(
+            f"{name} shows neither the middle wall nor the hidden region: give --gap METRES, from the relay "
+            f"wall to the middle wall, for the paper's hidden region behind it; or change both in the preset "
+            f"that {by_hand} writes, and give that to --for"
+        )
+    corner = captured_corner(name, gap_m=gap_m)
+    if corner.doubts:
+        raise click.UsageError(
+            f"the place of the wall in {name} is not certain: {'; '.join(corner.doubts)}; if you know "
+            f"better, give --for the preset that {by_hand} --force writes"
+        )
+    for sentence in corner.sentences:
+        say(sentence)
+    refuse_impossible_corner(corner.preset)
+    return corner.preset, {}, Path(name).parent
 
 
 def _settings(

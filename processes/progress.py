@@ -29,7 +29,8 @@ class Lines:
     """Prints lines like ``render: 120 of 1344 scenes, 2.1 scenes/s, 9 min left (failed=0)``.
 
     A line appears when 5 % more of the work are done, but at most once a second, and when 30 s have passed
-    and any work is done. Work of less than a second prints nothing. A stream that takes no more lines stops
+    and any work is done. The first update comes late, after programs were loaded and compiled; the pace is
+    that of the others. Work of less than a second prints nothing. A stream that takes no more lines stops
     nothing: the work goes on.
 
     Parameters
@@ -56,13 +57,16 @@ class Lines:
         self._initial = self._done = self._printed = initial
         self._stream, self._clock = stream, clock
         self._began_s = self._printed_s = clock()
+        self._first: tuple[float, int] | None = None  # when the first update came, and what was done then
         self._values = ""
         self._began_to_print = False
 
     def update(self, n: int = 1) -> None:
         """Count `n` more units of work."""
         self._done += n
-        waited_s = self._clock() - self._printed_s
+        now_s = self._clock()
+        self._first = self._first or (now_s, self._done)
+        waited_s = now_s - self._printed_s
         if waited_s < _SHORTEST_S or self._done == self._printed:
             return
         share_is_done = self._total is not None and self._done - self._printed >= _SHARE * self._total
@@ -94,15 +98,15 @@ class Lines:
     def _line(self) -> str:
         of = "" if self._total is None else f" of {self._total}"
         parts = [f"{self._done}{of} {self._unit}{'' if of == '' and self._done == 1 else 's'}"]
-        elapsed_s, count = self._printed_s - self._began_s, self._done - self._initial
-        if elapsed_s > 0 and count > 0:
-            parts.append(_pace(count / elapsed_s, self._unit))
-            if self._total is None:
-                parts.append(f"{duration(elapsed_s)} so far")
-            elif self._done < self._total:
-                parts.append(f"{duration((self._total - self._done) * elapsed_s / count)} left")
-            else:
-                parts.append(f"{duration(elapsed_s)} in all")
+        elapsed_s, is_done = self._printed_s - self._began_s, self._done == self._total
+        from_s, before = (self._began_s, self._initial) if is_done else self._first or (0.0, self._done)
+        if self._done > before and self._printed_s > from_s:
+            pace = (self._done - before) / (self._printed_s - from_s)
+            parts.append(_pace(pace, self._unit))
+            if self._total is not None and not is_done:
+                parts.append(f"{duration((self._total - self._done) / pace)} left")
+        if self._total is None or is_done:
+            parts.append(f"{duration(elapsed_s)} {'in all' if is_done else 'so far'}")
         name = f"{self._description}: " if self._description else ""
         return name + ", ".join(parts) + (f" ({self._values})" if self._values else "")
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from itertools import zip_longest
 from typing import TypeAlias
 
 import numpy as np
@@ -44,16 +45,21 @@ def harmonics(settings: SensorSettings, frequency_hz: float) -> dict[int, float]
 
     A square wave that is on for the part d of a period has the harmonics sin(π h d) / h; edges that rise
     within the time t multiply them by sinc(h f t). The reference is on for half of the period. Harmonics of
-    both together are products.
+    both together are products. Those that the settings give as measured replace them.
     """
-    if "sinusoidal" in (settings.emitter_waveform, settings.reference_waveform):
-        return {1: 1.0}  # the other wave's harmonics find no partner
-
-    h = np.arange(1, settings.highest_harmonic + 1)
-    light = np.sin(np.pi * h * settings.emitter_duty) * np.sinc(h * frequency_hz * settings.rise_time_s)
-    product = light * np.sin(np.pi * h / 2) / h**2
-    parts = (product / product[0]).tolist()
-    return {count: part for count, part in enumerate(parts, 1) if abs(part) > 1e-12}
+    parts = {1: 1.0}  # if one wave is sinusoidal, the other's harmonics find no partner
+    if "sinusoidal" not in (settings.emitter_waveform, settings.reference_waveform):
+        h = np.arange(1, settings.highest_harmonic + 1)
+        light = np.sin(np.pi * h * settings.emitter_duty) * np.sinc(h * frequency_hz * settings.rise_time_s)
+        product = light * np.sin(np.pi * h / 2) / h**2
+        parts = dict(enumerate((product / product[0]).tolist(), 1))
+    if settings.harmonics:
+        frequencies_hz, rows = zip(*settings.harmonics, strict=True)
+        measured = zip_longest(*rows, fillvalue=0.0)
+        parts |= {
+            h: float(np.interp(frequency_hz, frequencies_hz, each)) for h, each in enumerate(measured, 2)
+        }
+    return {count: part for count, part in parts.items() if abs(part) > 1e-12}
 
 
 @cache

@@ -15,7 +15,7 @@ PERFECT: Final[dict[str, dict[str, Any]]] = {
     "converter": {"adc_bits": None, "adc_e_per_dn": None},
     "full well": {"full_well_e": None},
     "fixed pattern": {"gain_spread": 0.0, "offset_spread_e": 0.0, "dead_pixels": 0.0, "tap_mismatch": 0.0},
-    "wiggling": {"emitter_waveform": "sinusoidal", "reference_waveform": "sinusoidal"},
+    "wiggling": {"emitter_waveform": "sinusoidal", "reference_waveform": "sinusoidal", "harmonics": ()},
     "vignetting": {"vignetting": 0.0},
     "scattering": {"scattering": 0.0},
     "crosstalk": {"crosstalk": 0.0},

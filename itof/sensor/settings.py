@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -37,12 +37,13 @@ from disk.quantities import (
 )
 from itof.radial_distortion import radial_factor, turning_square
 
+T = TypeVar("T")
 Waveform = Literal["sinusoidal", "square"]
 Pixels = Annotated[int, Field(ge=1, le=2**14)]
 MOST_FRAMES = 1_000_000_000
 
 
-def _ascending(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+def _ascending(table: tuple[tuple[float, T], ...]) -> tuple[tuple[float, T], ...]:
     frequencies_hz = [frequency_hz for frequency_hz, _ in table]
     if frequencies_hz != sorted(set(frequencies_hz)):
         raise ValueError("the frequencies must ascend, each once")
@@ -52,6 +53,8 @@ def _ascending(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, flo
 ContrastTable = Annotated[
     tuple[tuple[Frequency, Transmitted], ...], Field(min_length=1), AfterValidator(_ascending)
 ]
+Overtones = Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(max_length=98)]
+HarmonicsTable = Annotated[tuple[tuple[Frequency, Overtones], ...], AfterValidator(_ascending)]
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
@@ -90,6 +93,9 @@ class SensorSettings:
     emitter_duty : part of a period in which a square emitter is on.
     rise_time_s : 0 to 100 %, of a square emitter's straight edges, seconds.
     highest_harmonic : of waveforms that are not sinusoidal.
+    harmonics : (frequency Hz, harmonics of light and reference together from the second one on, over the
+        first) pairs, as measured; linear in between, constant beyond. They replace those of the waveforms,
+        whose higher ones stay.
     wiggling_left : part of the waveforms' error of phase and amplitude that the firmware's calibration
         leaves: 1 without a calibration, 0 with a perfect one.
     phase_steps : raw frames per frequency, at phases that divide the period evenly.
@@ -138,6 +144,7 @@ class SensorSettings:
     emitter_duty: DutyCycle = 0.5
     rise_time_s: RiseTime = 0.0
     highest_harmonic: Annotated[int, Field(ge=1, le=99)] = 9
+    harmonics: HarmonicsTable = ()
     wiggling_left: Fraction = 1.0
     phase_steps: Annotated[int, Field(ge=3, le=64)] = 4
     tap_mismatch: TapMismatch = 0.0

@@ -5,8 +5,15 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from measurements import write_npz
 from training_runs import config_of
+
+from itof.wall.wall_view import WallView
+from scenegen import load_preset
+from scenegen.pose import wall_geometry
+from scenegen.sampling import walls_of
 
 pytestmark = pytest.mark.long
 SMALL = """
@@ -72,8 +79,26 @@ def test_one_command_makes_scenes_a_network_and_a_report_and_repeats_itself_to_t
 
 
 def test_a_budget_becomes_epochs_and_the_nearest_network_is_never_spoilt(tmp_path):
-    (tmp_path / "mine.toml").write_text("[camera]\nwidth = 40\nheight = 30\n")
-    given = ("--for", "mine.toml", "--out", "net", "--set", "run.fresh_error=0.2", "--no-progress")
+    paper = load_preset("paper")
+    view = WallView(**wall_geometry(paper.camera, walls_of(paper)[0]))
+    hz = paper.itof.frequencies_hz
+    write_npz(
+        tmp_path / "corner.npz",
+        phasors=view.direct_phasors(40, 30, hz),
+        frequencies_hz=np.array(hz),
+        horizontal_fov_deg=60.0,
+    )
+    given = (
+        "--for",
+        "corner.npz",
+        "--gap",
+        0.7,
+        "--out",
+        "net",
+        "--set",
+        "run.fresh_error=0.2",
+        "--no-progress",
+    )
     refused = night_train(tmp_path, *given, "--budget", "0.1s")
     assert refused.returncode == 2
     assert "a budget of 0.1 s is too small: one epoch of 256 scenes takes " in refused.stderr
@@ -84,6 +109,7 @@ def test_a_budget_becomes_epochs_and_the_nearest_network_is_never_spoilt(tmp_pat
         "starts from night-40x30, which is for one corner, 20, 50, 60 MHz and images of 40x30" in done.stdout
     )
     assert "; before the training, it has " in done.stdout
+    assert "middle wall and hidden region are the paper's, to the right" in done.stderr
     assert config_of(tmp_path / "net")["started_from"]["run"] == "night-40x30"
     losses = [line.split(",")[3] for line in (tmp_path / "net" / "history.csv").read_text().splitlines()[1:]]
     assert len(losses) == 2  # of the start, and of the epoch

@@ -36,7 +36,7 @@ def binned(settings, size=(18, 24)):
         {},
         LENS,
         SQUARE,
-        {**SQUARE, "wiggling_left": 0.1, "phase_steps": 5},
+        {**SQUARE, "wiggling_left": 0.1, "phase_steps": 5, "harmonics": ((20e6, (0.02, 0.1, 0.01)),)},
         {"full_well_e": 2.5e4, "ambient_w_m2": 0.02, "dark_current_e_s": 1e6},
         {**SQUARE, "adc_bits": 20, "adc_e_per_dn": 0.02, "adc_offset_dn": 50.0},
     ],
@@ -115,13 +115,14 @@ def test_a_harmonic_that_the_type_lacks_counts_in_a_camera_of_it():
 
 
 def test_cameras_of_a_type_differ_within_their_bounds():
-    settings = replace(SMALL, **SQUARE, scattering=0.05, wiggling_left=0.5)
+    settings = replace(SMALL, **SQUARE, scattering=0.05, wiggling_left=0.5, harmonics=((20e6, (0.0, 0.1)),))
     own = [random_camera(settings, np.random.default_rng(seed)) for seed in range(400)]
     for values, lowest, highest in (
         ([each.contrast[0][1] for each in own], 0.95 * 0.6, 1.05 * 0.6),
         ([each.contrast[1][1] for each in own], 0.95 * 0.3, 1.05 * 0.3),
         ([each.rise_time_s for each in own], 0.8 * 2e-9, 1.2 * 2e-9),
         ([each.emitter_duty for each in own], 0.49, 0.51),
+        ([0.1 / each.harmonics[0][1][1] for each in own], 0.8, 1.2),
         ([each.scattering for each in own], 0, 0.05),
         ([each.wiggling_left for each in own], 0, 0.5),
     ):

@@ -59,6 +59,13 @@ def test_the_last_line_says_where_interrupted_work_stopped():
     assert [line.split(" of")[0] for line in lines] == ["render: 1", "render: 3"]
 
 
+def test_the_wait_before_the_first_scene_makes_no_pace():
+    lines = run_of(384, [100.0] + [1.0] * 383)
+    assert lines[0] == "render: 1 of 384 scenes"
+    assert lines[1] == "render: 21 of 384 scenes, 1.0 scenes/s, 6 min left"
+    assert lines[-1] == "render: 384 of 384 scenes, 1.3 s/scene, 8 min in all"
+
+
 def test_work_that_was_done_before_makes_no_pace():
     lines = run_of(100, [2.0] * 10, initial=50)
     assert lines[0] == "render: 55 of 100 scenes, 2.0 s/scene, 2 min left"
@@ -66,7 +73,7 @@ def test_work_that_was_done_before_makes_no_pace():
 
 def test_work_of_unknown_size_has_no_end_in_sight():
     assert run_of(None, [31.0, 31.0], description="") == [
-        "1 scene, 31.0 s/scene, 31 s so far",
+        "1 scene, 31 s so far",
         "2 scenes, 31.0 s/scene, 62 s so far",
     ]
 
@@ -77,8 +84,8 @@ def test_a_line_shows_the_latest_description_and_values():
         lines.set_postfix(train="0.0120", refresh=False)
         lines.update(3)
 
-    lines = run_of(10, [2.0], before_exit=name_it)
-    assert lines[-1] == "epoch 7: 4 of 10 scenes, 2.0 scenes/s, 3 s left (train=0.0120)"
+    lines = run_of(10, [2.0, 2.0], before_exit=name_it)
+    assert lines[-1] == "epoch 7: 5 of 10 scenes, 2.0 scenes/s, 2 s left (train=0.0120)"
 
 
 def test_a_log_that_takes_no_more_lines_stops_no_work():

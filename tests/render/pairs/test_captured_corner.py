@@ -215,6 +215,19 @@ def test_a_wall_whose_place_is_not_certain_is_written_only_when_forced(tmp_path)
     assert load_preset(out).camera.width == WIDTH
 
 
+def test_a_network_for_a_capture_needs_what_it_does_not_show(tmp_path):
+    view, command = looking(40, 0), ("night-train", "--out", tmp_path / "run", "--for")
+    file = measured(tmp_path, view, returned(view))
+    assert "shows neither the middle wall nor the hidden region: give --gap METRES" in refusal(*command, file)
+    assert "which must hide the object" in refusal(*command, file, "--gap", "1.5")
+    assert "--gap is for a capture" in refusal(*command, "paper", "--gap", "0.7")
+    unknown = measured(tmp_path, view, returned(view) * np.exp([0.5j, 1.4j, -2.0j]), "unknown.npz")
+    said = refusal(*command, unknown, "--gap", "0.7")
+    assert "the wall's distance is uncertain by" in said
+    assert "night-eval capture corner" in said
+    assert {each.name for each in tmp_path.iterdir()} == {"empty.npz", "unknown.npz"}
+
+
 @pytest.mark.parametrize("options", [(), ("--force",)])
 def test_what_shows_no_wall_gives_no_preset(tmp_path, options):
     view, out = looking(40, 0), tmp_path / "my.toml"
