@@ -107,6 +107,7 @@ def _planned(
 ) -> TrainSettings:
     """The settings with the epochs that the budget gives; says what to expect of them."""
     from model.training.budget import measured_speed
+    from model.training.camera_light import camera_light
 
     if settings.run.progress:
         say("measuring how fast the training is")
@@ -118,7 +119,12 @@ def _planned(
     found = "" if speed.start_cm is None else f"; before the training, it has {speed.start_cm:.1f} cm here"
     show(f"{why}{found}")
     show(_course(settings, speed))
-    show(_expected(settings, speed, one_corner=dataset.preset.is_one_corner))
+    camera = settings.augmentation.camera
+    if camera is None:
+        show(_expected(settings, speed, one_corner=dataset.preset.is_one_corner))
+    else:
+        light = camera_light(dataset, camera.sensor).sentence
+        show(f"{light}; no object: {speed.no_object_cm:.1f} cm; nobody has measured what error is left")
     return settings
 
 
@@ -156,10 +162,9 @@ def _expected(settings: TrainSettings, speed: Speed, *, one_corner: bool) -> str
     )
     if once is None or twice is None:
         return f"nobody has measured what error so few samples leave ({no_object})"
-    light = "" if settings.augmentation.camera is None else " on light without the errors of a camera"
     return (
-        f"expect an MAE of about {once:.1f} cm{light}, and {twice:.1f} cm after twice the time, as measured "
-        f"at 40x30 pixels ({no_object})"
+        f"expect an MAE of about {once:.1f} cm, and {twice:.1f} cm after twice the time, as measured at "
+        f"40x30 pixels ({no_object})"
     )
 
 

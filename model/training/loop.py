@@ -218,7 +218,7 @@ def _run(state: TrainingState, out: Path) -> TrainingResult:
         feed.hold()  # before the first epoch, whose speed would be that of reading
     shown = showing_progress(
         max_epochs * scenes,
-        "sample" if state.enlarged else "scene",
+        "sample",  # a scene counts once in each epoch
         initial=before,
         show=state.settings.run.progress and is_first,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, log
 from pathlib import Path
 
 from disk.frequency_text import megahertz
@@ -35,30 +35,32 @@ class Nearest:
 def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
     """The shipped network that knows the frequencies of a preset, images of its shape, and as many corners.
 
-    Of several, it is one of the size of the images, or of the largest whole part of it
-    (`model.training.other_pixels`); one that was trained for a camera, if this one is (`has_sensor`); and the
-    one with the smallest error.
+    Of several, it is one that was trained for a camera, if this one is (`has_sensor`): others see nothing
+    behind one; one of the size of the images, or of the nearest whole part or multiple of it
+    (`model.training.other_pixels`); and the one with the smallest error.
     """
     camera, hz = preset.camera, preset.itof.frequencies_hz
     size, corner = f"{camera.width}x{camera.height} pixels", preset.is_one_corner
     found = {name: read_config(run) for name, run in shipped_runs().items()}
     at_these = {n: each for n, each in found.items() if _has_frequencies(each, preset)}
-    of_size = {n: each for n, each in at_these.items() if _times(each, preset)}
+    of_size = {n: each for n, each in at_these.items() if _block(each, preset)}
     fitting = {n: each for n, each in of_size.items() if each.inputs.shows_wall != corner}
     if not fitting:
         lack = megahertz(*hz) if not at_these else size if not of_size else "many corners"
         return Nearest(None, 0, f"the training starts from new weights: no network of NIGHT is for {lack}")
 
-    def rank(name: str) -> tuple[int, bool, float]:
+    def rank(name: str) -> tuple[bool, float, bool, float]:
         network = Network.of(shipped_runs()[name], fitting[name])
-        error_cm = network.validation_mae_cm or inf
-        return _times(fitting[name], preset), network.is_of_camera != has_sensor, error_cm
+        error_cm, is_other = network.validation_mae_cm or inf, network.is_of_camera != has_sensor
+        other_size = abs(log(camera.width / fitting[name].image_width))
+        return has_sensor and is_other, other_size, is_other, error_cm
 
     name = min(fitting, key=rank)
-    block = fitting[name].settings.network.block * _times(fitting[name], preset)
+    block = _block(fitting[name], preset)
     corners = "one corner" if corner else "many corners"
     own = f"{fitting[name].image_width}x{fitting[name].image_height} pixels"
-    where = f"images of {own}" + ("" if own == size else f", a whole part of {size}")
+    part = "a whole part" if fitting[name].image_width < camera.width else "a multiple"
+    where = f"images of {own}" + ("" if own == size else f", {part} of {size}")
     why = f"the training starts from {name}, which is for {corners}, {megahertz(*hz)} and {where}"
     return Nearest(shipped_runs()[name], block, why)
 
@@ -70,9 +72,10 @@ def _has_frequencies(config: RunConfig, preset: Preset) -> bool:
     } and config.output_frequency_hz == represented_frequency_hz(hz[0], [preset])
 
 
-def _times(config: RunConfig, preset: Preset) -> int:
-    """How many times as many pixels a side the images of a preset have; 0 if the network cannot have them."""
-    camera = preset.camera
-    times = camera.width // config.image_width
-    fits = (camera.width, camera.height) == (times * config.image_width, times * config.image_height)
-    return times if fits and times * config.settings.network.block <= _LARGEST_BLOCK else 0
+def _block(config: RunConfig, preset: Preset) -> int:
+    """The block with which the network has as many positions for a preset's images; 0 if there is none."""
+    camera, own = preset.camera, config.settings.network.block
+    block, rest = divmod(own * camera.width, config.image_width)
+    same_shape = camera.width * config.image_height == camera.height * config.image_width
+    is_whole = rest == 0 < block <= _LARGEST_BLOCK and 0 in (block % own, own % block)
+    return block if same_shape and is_whole else 0

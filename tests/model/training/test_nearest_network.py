@@ -1,5 +1,7 @@
 """What a training for a preset starts from, how long it may be, and what is expected of it."""
 
+import re
+
 import pytest
 from night_commands import refusal
 
@@ -25,7 +27,8 @@ def preset(width, height, mhz=(20, 50, 60), **camera_spread):
     ("scenes", "has_sensor", "name", "block"),
     [
         (preset(40, 30), False, "night-40x30", 2),
-        (preset(40, 30), True, "night-40x30", 2),
+        (preset(40, 30), True, "night-80x60-camera", 2),
+        (preset(20, 15), False, "night-40x30", 1),
         (preset(160, 120), True, "night-80x60-camera", 8),
         (preset(80, 60), False, "night-80x60", 4),
         (preset(80, 60), True, "night-80x60-camera", 4),
@@ -41,7 +44,9 @@ def test_the_nearest_network_has_the_frequencies_the_corners_and_a_part_of_the_s
     found = nearest_network(scenes, has_sensor=has_sensor)
     assert (found.run.name, found.block) == (name, block)
     assert name in found.why
-    assert ("a whole part of" in found.why) == (f"{scenes.camera.width}x" not in name)
+    own = int(re.search(r"(\d+)x", name)[1])
+    assert ("a whole part of" in found.why) == (own < scenes.camera.width)
+    assert ("a multiple of" in found.why) == (own > scenes.camera.width)
 
 
 @pytest.mark.parametrize(
@@ -51,7 +56,7 @@ def test_the_nearest_network_has_the_frequencies_the_corners_and_a_part_of_the_s
         (preset(80, 60, (10, 20, 50, 60)), "10, 20, 50, 60 MHz"),  # those predict at 20 MHz
         (preset(32, 24), "32x24 pixels"),
         (preset(80, 80), "80x80 pixels"),
-        (preset(20, 15), "20x15 pixels"),
+        (preset(30, 22), "30x22 pixels"),
     ],
 )
 def test_without_one_a_training_starts_from_new_weights_and_says_why(scenes, lack):
