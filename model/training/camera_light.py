@@ -43,9 +43,7 @@ class CameraLight:
         noise = "has no noise" if self.snr == inf else f"leaves {self.snr:.2g} of hidden light / noise"
         if self.snr < _ENOUGH:
             count = ceil((_ENOUGH / self.snr) ** 2)
-            noise += (
-                f", too little for a good image: average {count} exposures (frames = {count} times as many)"
-            )
+            noise += f", too little for a good image: average {count} exposures ({count} times the frames)"
         waves = f"its waves change {100 * self.changed:.2g} % of the hidden light"
         if self.changed > _MUCH:
             waves += ", much for a network: calibrate them (wiggling_left), or take more phase_steps"
