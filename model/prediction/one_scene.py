@@ -11,7 +11,8 @@ the energy. If a part comes from another scene, no weights explain the whole, al
     in half of it:     gain = R(all) / (R(one half) + R(other half))
 
 R is the energy that is left. Noise leaves gains of (2F - 1) / (2F - 3) and 1, and errors that all parts share
-leave little more.
+leave little more. Scenes that differ by less than what the patches leave are not told apart: of 360 mixtures
+of scenes of the preset judge (seed 101), both of the frequencies of one pair.
 """
 
 from __future__ import annotations
