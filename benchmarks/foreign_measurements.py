@@ -38,6 +38,7 @@ from scenegen import load_preset
 AT_ONCE = 20
 NOISES = (0.0, 3e-4, 1e-3, 3e-3)  # of a pixel's amplitude
 QUANTILES = (0.01, 0.05, 0.5)
+Images = tuple[Phasors, Phasors, Phasors]  # of a scene, of another by the same camera, of the empty corner
 Row = dict[str, Any]  # what was said about one image
 
 
@@ -56,8 +57,8 @@ def main() -> None:
     lines = given.out.read_text().splitlines() if given.out and given.out.exists() else []
     rows: list[Row] = [json.loads(line) for line in lines]
     done = {row["scene"] for row in rows}
-    for scene, *images in pairs(predictor, given.preset, given.count, given.seed, done):
-        new = [{"scene": scene} | row for row in of_scene(predictor, given, scene, *images)]
+    for scene, images, fov_deg in pairs(predictor, given.preset, given.count, given.seed, done):
+        new = [{"scene": scene} | row for row in of_scene(predictor, given, scene, images, fov_deg)]
         rows += new
         if given.out:
             with given.out.open("a") as file:
@@ -75,12 +76,11 @@ def of_scene(
     predictor: Predictor,
     given: argparse.Namespace,
     scene: int,
-    z: Phasors,
-    other: Phasors,
-    empty: Phasors,
+    images: Images,
     fov_deg: float,
 ) -> Iterator[Row]:
     """What is said about the images of a scene: good, empty, and foreign."""
+    z, other, empty = images
     rng = np.random.default_rng([given.seed, scene])
     frequencies_hz = predictor.config.inputs.frequencies_hz
     for name, image in (("good", z), ("empty", empty)):
@@ -101,8 +101,8 @@ def of_scene(
 
 def pairs(
     predictor: Predictor, preset: str, count: int, seed: int, done: set[int]
-) -> Iterator[tuple[int, Phasors, Phasors, Phasors, float]]:
-    """Scenes that are not done: number, image, another scene, empty corner, field of view."""
+) -> Iterator[tuple[int, Images, float]]:
+    """Scenes that are not done: number, images, and field of view."""
     config, stream = predictor.config, FreshScenes(load_preset(preset)).with_seed(seed)
     size = (config.image_width, config.image_height)
     light = BatchedLight(config.inputs.frequencies_hz, *size, error=0.02)
@@ -121,7 +121,7 @@ def pairs(
             direct = images.direct[place].astype(np.complex128)
             other = others.direct[place].astype(np.complex128) + others.hidden[place]
             fov_deg = scene.camera.horizontal_fov_deg
-            yield start + place, direct + images.hidden[place], other, direct, fov_deg
+            yield start + place, (direct + images.hidden[place], other, direct), fov_deg
 
 
 def grainy(z: Phasors, noise: float, rng: np.random.Generator) -> Phasors:
