@@ -1,17 +1,24 @@
 """Which measurements are answered without a warning: good ones of new scenes, and ten kinds of foreign ones.
 
-Counts of what `capture check` and `predict` say, findings by their codes (those that refuse with an
-exclamation mark), and quantiles of the share of the hidden light that the network's answers explain. Run:
+Of each scene one good image and one of its empty corner are taken, with one of four noises, or by one of the
+given cameras in turn. Counts of what `capture check` and `predict` say, findings by their codes (those that
+refuse with an exclamation mark), and quantiles of the share of the hidden light that the network's answers
+explain. *Hidden* counts the warnings "noise hides the hidden light" that are right: the true light of the
+scene, in the network's channels, is below what the noise hides. With `--out`, a run that was stopped goes on.
+Run:
 
-    .venv/bin/python benchmarks/foreign_measurements.py night-80x60 judge --count 300 --foreign
-    .venv/bin/python benchmarks/foreign_measurements.py any-corner-80x60 judge-any-corner --count 1000
-    .venv/bin/python benchmarks/foreign_measurements.py night-80x60-camera judge --sensor calibrated
+    .venv/bin/python benchmarks/foreign_measurements.py night-80x60 judge --count 300 --foreign --seed 47
+    .venv/bin/python benchmarks/foreign_measurements.py any-corner-80x60 judge-any-corner --count 300
+    .venv/bin/python benchmarks/foreign_measurements.py night-80x60-camera judge --sensor calibrated mlx75027
 """
 
 import argparse
+import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +38,8 @@ from scenegen import load_preset
 AT_ONCE = 20
 NOISES = (0.0, 3e-4, 1e-3, 3e-3)  # of a pixel's amplitude
 QUANTILES = (0.01, 0.05, 0.5)
-Images = list[tuple[Phasors, Phasors, float]]  # image, that of the empty corner, and field of view in degrees
+Images = tuple[Phasors, Phasors, Phasors]  # of a scene, of another by the same camera, of the empty corner
+Row = dict[str, Any]  # what was said about one image
 
 
 def main() -> None:
@@ -41,48 +49,79 @@ def main() -> None:
     parser.add_argument("preset", help="of the scenes")
     parser.add_argument("--count", type=int, default=100, help="scenes, default 100")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--sensor", help="camera of data/sensors, with a capture of the empty corner")
+    parser.add_argument("--sensor", nargs="*", help="cameras of data/sensors, with captures of the corner")
     parser.add_argument("--foreign", action="store_true", help="also ten kinds of foreign measurements")
+    parser.add_argument("--out", type=Path, help="file of the rows so far")
     given = parser.parse_args()
-    predictor, rng = load(given.run, "cpu"), np.random.default_rng(given.seed)
-    head = "| measurement | images | check: warned, refused | predict: warned, refused | with an object "
-    print(head + "| explained: 1 %, 5 %, median | findings |\n|---|---|---|---|---|---|---|", flush=True)
-    scenes = list(pairs(predictor, given.preset, given.count, given.seed))
-    good = [(z, empty, fov_deg) for z, _, empty, fov_deg in scenes]
-    if given.sensor:
-        camera = Camera(load_sensor(given.sensor), predictor.config.inputs.frequencies_hz)
-        seen = [(*(camera.capture(each, rng).phasor for each in one[:2]), one[2]) for one in good]
-        tell(predictor, f"good, {given.sensor}", seen, captured=True)
-        return
-    for noise in NOISES:
-        for name, images in (("good", good), ("empty", [(empty, empty, fov) for _, empty, fov in good])):
-            spoilt = [(grainy(z, noise, rng), empty, fov_deg) for z, empty, fov_deg in images]
-            tell(predictor, f"{name}, noise {noise:g}", spoilt)
+    predictor = load(given.run, "cpu")
+    lines = given.out.read_text().splitlines() if given.out and given.out.exists() else []
+    rows: list[Row] = [json.loads(line) for line in lines]
+    done = {row["scene"] for row in rows}
+    for scene, images, fov_deg in pairs(predictor, given.preset, given.count, given.seed, done):
+        new = [{"scene": scene} | row for row in of_scene(predictor, given, scene, images, fov_deg)]
+        rows += new
+        if given.out:
+            with given.out.open("a") as file:
+                file.writelines(json.dumps(row) + "\n" for row in new)
+    head = "| measurement | images | check: warned, refused | predict: warned, refused | hidden "
+    print(
+        head
+        + "| with an object | explained: 1 %, 5 %, median | findings |\n|---|---|---|---|---|---|---|---|"
+    )
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        tell(kind, [row for row in rows if row["kind"] == kind and row["scene"] < given.count])
+
+
+def of_scene(
+    predictor: Predictor,
+    given: argparse.Namespace,
+    scene: int,
+    images: Images,
+    fov_deg: float,
+) -> Iterator[Row]:
+    """What is said about the images of a scene: good, empty, and foreign."""
+    z, other, empty = images
+    rng = np.random.default_rng([given.seed, scene])
+    frequencies_hz = predictor.config.inputs.frequencies_hz
+    for name, image in (("good", z), ("empty", empty)):
+        if given.sensor:
+            sensor = given.sensor[scene % len(given.sensor)]
+            camera = Camera(load_sensor(sensor), frequencies_hz)
+            seen, reference = (camera.capture(each, rng).phasor for each in (image, empty))
+            row = said(predictor, seen, fov_deg, reference, true=(image, empty))
+            yield {"kind": f"{name}, {sensor}"} | row
+        else:
+            noise = NOISES[scene % len(NOISES)]
+            row = said(predictor, grainy(image, noise, rng), fov_deg, true=(image, None))
+            yield {"kind": f"{name}, noise {noise:g}"} | row
     if given.foreign:
-        kinds = [foreign(z, other, predictor.config.inputs.frequencies_hz) for z, other, _, _ in scenes]
-        for name in kinds[0]:
-            spoilt = [(kind[name], one[1], one[2]) for kind, one in zip(kinds, good, strict=True)]
-            tell(predictor, name, spoilt)
+        for kind, spoilt in foreign(z, other, frequencies_hz).items():
+            yield {"kind": kind} | said(predictor, spoilt, fov_deg)
 
 
 def pairs(
-    predictor: Predictor, preset: str, count: int, seed: int
-) -> Iterator[tuple[Phasors, Phasors, Phasors, float]]:
-    """Images of new scenes, of others by the same camera, of the empty corner; and fields of view."""
+    predictor: Predictor, preset: str, count: int, seed: int, done: set[int]
+) -> Iterator[tuple[int, Images, float]]:
+    """Scenes that are not done: number, images, and field of view."""
     config, stream = predictor.config, FreshScenes(load_preset(preset)).with_seed(seed)
     size = (config.image_width, config.image_height)
     light = BatchedLight(config.inputs.frequencies_hz, *size, error=0.02)
     for start in range(0, count, AT_ONCE):
-        some = [stream.scene(index, {}) for index in range(start, min(start + AT_ONCE, count))]
+        if all(each in done for each in range(start, start + AT_ONCE)):
+            continue
+        some = [stream.scene(index, {}) for index in range(start, start + AT_ONCE)]
         moved = [
             replace(other, camera=one.camera, emitter=one.emitter)
             for one, other in zip(some, some[1:] + some[:1], strict=True)
         ]
         images, others = light.images(some), light.images(moved)
         for place, scene in enumerate(some):
+            if start + place in done or start + place >= count:
+                continue
             direct = images.direct[place].astype(np.complex128)
             other = others.direct[place].astype(np.complex128) + others.hidden[place]
-            yield direct + images.hidden[place], other, direct, scene.camera.horizontal_fov_deg
+            fov_deg = scene.camera.horizontal_fov_deg
+            yield start + place, (direct + images.hidden[place], other, direct), fov_deg
 
 
 def grainy(z: Phasors, noise: float, rng: np.random.Generator) -> Phasors:
@@ -111,30 +150,52 @@ def foreign(z: Phasors, other: Phasors, frequencies_hz: tuple[float, ...]) -> di
     }
 
 
-def tell(predictor: Predictor, name: str, images: Images, *, captured: bool = False) -> None:
-    """Print a row about images."""
-    inputs, codes = predictor.config.inputs, Counter[str]()
-    shares, objects, told = [], 0, np.zeros((2, 2), int)  # by `capture check` and `predict`: warned, refused
-    for z, empty, fov_deg in images:
-        seen = predictor.at(predictor.config.geometry.with_fov(fov_deg))
-        reference = empty if captured else None
-        own, shift_m = inputs.self_calibrates, inputs.largest_shift_m
-        checked = check_measurement(z, seen.wall, reference, self_calibrated=own, known_shift_m=shift_m)
-        found = list(checked.findings)
-        if not any(each.refused for each in found):
-            prediction = seen.predict(z[None], reference, rescale=True)
-            (light,) = seen.explained_light(z[None], prediction, reference, thorough=True)
-            objects += bool(prediction.mask.any())
-            if light is not None:
-                found += light.findings(shows_object=bool(prediction.mask.any()))
-                shares += [] if light.share is None else [light.share]
-        for place, findings in enumerate((check_image(z, inputs.frequencies_hz, fov_deg).findings, found)):
-            told[place] += bool(findings), any(each.refused for each in findings)
-            codes.update({f"{each.code}{'!' * each.refused}" for each in findings})
+def said(
+    predictor: Predictor,
+    z: Phasors,
+    fov_deg: float,
+    reference: Phasors | None = None,
+    true: tuple[Phasors, Phasors | None] | None = None,
+) -> Row:
+    """What `capture check` and `predict` say about an image. `true`: it and its reference without noise."""
+    inputs, found = predictor.config.inputs, []
+    seen = predictor.at(predictor.config.geometry.with_fov(fov_deg))
+    own, shift_m = inputs.self_calibrates, inputs.largest_shift_m
+    checked = check_measurement(z, seen.wall, reference, self_calibrated=own, known_shift_m=shift_m)
+    found += checked.findings
+    row: Row = {"object": False, "share": None, "hidden": False}
+    if not any(each.refused for each in found):
+        prediction = seen.predict(z[None], reference, rescale=True)
+        (light,) = seen.explained_light(z[None], prediction, reference, thorough=True)
+        row["object"] = bool(prediction.mask.any())
+        if light is not None:
+            told = list(light.findings(shows_object=row["object"]))
+            found += told
+            row["share"] = light.share
+            if told and light.share is None and true is not None:
+                hidden = seen.hidden_light(*true)
+                row["hidden"] = hidden is not None and bool(np.sqrt((hidden**2).mean()) < light.hideable)
+    first = check_image(z, inputs.frequencies_hz, fov_deg).findings
+    codes = ([f"{each.code}{'!' * each.refused}" for each in some] for some in (first, found))
+    return row | dict(zip(("check", "predict"), codes, strict=True))
+
+
+def tell(kind: str, rows: list[Row]) -> None:
+    """Print a row about images of a kind."""
+    counts = []
+    for command in ("check", "predict"):
+        warned = sum(bool(row[command]) for row in rows)
+        refused = sum(any(code.endswith("!") for code in row[command]) for row in rows)
+        counts.append(f"{warned}, {refused}")
+    shares = [row["share"] for row in rows if row["share"] is not None]
     share = ", ".join(f"{each:.2f}" for each in np.quantile(shares, QUANTILES)) if shares else ""
-    check, predict = (f"{warned}, {refused}" for warned, refused in told)
-    kinds = ", ".join(f"{code} {count}" for code, count in codes.items())
-    print(f"| {name} | {len(images)} | {check} | {predict} | {objects} | {share} | {kinds} |", flush=True)
+    hidden, objects = (sum(row[name] for row in rows) for name in ("hidden", "object"))
+    codes = Counter(
+        f"{command} {code}" for row in rows for command in ("check", "predict") for code in row[command]
+    )
+    words = ", ".join(f"{code} {count}" for code, count in codes.items())
+    cells = (kind, len(rows), *counts, hidden, objects, share, words)
+    print("| " + " | ".join(map(str, cells)) + " |")
 
 
 if __name__ == "__main__":

@@ -68,6 +68,32 @@ def test_a_part_of_another_scene_is_named_and_one_scene_has_none(scenes):
             assert bool(words) == bool(told)
 
 
+def test_a_part_of_an_alike_scene_is_named_though_its_light_is_weak_and_nearly_explained():
+    """Two parallel plates whose light is a fifth of a per mille of the wall's, in the corner of a network."""
+    network = load("night-40x30", "cpu")
+    inputs, wall = network.config.inputs, network.wall
+    rows, columns = np.mgrid[:30, :40]
+    places = (np.hypot(rows - 15, columns - 22) < 5, 1.0), (np.hypot(rows - 13, columns - 17) < 5, 1.2)
+    plates = [
+        DepthMap.of_object(np.where(mask, wall.radial_depth_m + behind_m, 0), mask, 20e6)
+        for mask, behind_m in places
+    ]
+    lights = [surface_light(np.float64(each.radial_depth_m), each.mask, wall) for each in plates]
+    weak = 3e-4 * np.abs(wall.direct).max()
+    one, other = (wall.direct + weak / np.abs(light).max() * light for light in lights)
+    mixtures = {
+        "": one,
+        "the light at 20 MHz is not": np.concatenate([other[..., :1], one[..., 1:]], axis=-1),
+        "the light at 60 MHz is not": np.concatenate([one[..., :2], other[..., 2:]], axis=-1),
+        "the left and the right": np.concatenate([other[:, :20], one[:, 20:]], axis=1),
+    }
+    for words, z in mixtures.items():
+        light = explained_light(inputs, z, wall, plates[0], thorough=True)
+        assert light.share > 0.8  # so that nothing else is told
+        assert words in light.other_scene
+        assert bool(words) == bool(light.other_scene)
+
+
 def test_without_an_object_nothing_is_explained_and_noise_is_no_light(scenes):
     inputs, wall, images = scenes
     z, truth = images[0]
