@@ -136,7 +136,7 @@ def measured_pair(dataset: Dataset, pair: int, errors: list[float], given: argpa
 def hidden_bins(exposure: ManyLightExposure) -> np.ndarray:
     """(H, W, T) hidden part of a transient: its bins less those of the direct return."""
     dark = replace(exposure, field=None)
-    vars(dark).update(_direct=exposure._direct, _rule=exposure._rule)
+    vars(dark).update(direct_image=exposure.direct_image, _rule=exposure._rule)
     full, direct = (np.concatenate(list(each.row_blocks())) for each in (exposure, dark))
     return full - direct
 

@@ -1,7 +1,8 @@
 """Time and memory of ``many-light`` for a scene pair, and how they grow.
 
 A scene pair is a scene and its mirrored scene, with all files written. Each scene is rendered once before it
-is measured, because the first time compiles its kernels. The median of --repeats renders is printed. Run:
+is measured, because the first time compiles its kernels. The median of --repeats renders is printed. With
+`transient`, each scene is also rendered to phasors alone, for the ratio of both in one run. Run:
 
     .venv/bin/python benchmarks/render_cost.py itof
     .venv/bin/python benchmarks/render_cost.py transient
@@ -100,8 +101,17 @@ def measured(dataset: Dataset, scene_id: str, settings: RenderSettings, repeats:
 
 def pairs(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> None:
     """Print a line per scene."""
-    settings = settings_of(given, product="both" if given.what == "transient" else "itof")
-    print_table("scene", ((name, measured(*scene, settings, given.repeats)) for name, *scene in scenes))
+
+    def row(dataset: Dataset, scene_id: str) -> dict[str, str]:
+        found = measured(dataset, scene_id, settings_of(given), given.repeats)
+        if given.what == "itof":
+            return found
+        seconds = found["CPU seconds"]
+        found = measured(dataset, scene_id, settings_of(given, product="both"), given.repeats)
+        ratio = float(found["CPU seconds"]) / float(seconds)
+        return found | {"CPU seconds of phasors": seconds, "ratio": f"{ratio:.1f}"}
+
+    print_table("scene", ((name, row(*scene)) for name, *scene in scenes))
 
 
 def growth(name: str, dataset: Dataset, scene_id: str, given: argparse.Namespace) -> None:

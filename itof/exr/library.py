@@ -83,7 +83,7 @@ class ExrOutput:
     def write(self, pixels: Mapping[str, NDArray[np.float32]], rows: int) -> None:
         """Append rows; `pixels` has the values of each channel, contiguous."""
         with self._errors():
-            self._file.writePixels({name: values.tobytes() for name, values in pixels.items()}, rows)
+            self._file.writePixels(dict(pixels), rows)
 
     def close(self, *, complete: bool) -> None:
         """Close the file; if it should be `complete`, it is checked.

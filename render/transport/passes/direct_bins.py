@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from itof import TransientLayout
 from render.transport.film.pixels import Grid, PixelRule, gauss_rule
+from render.transport.method import View
 from render.transport.passes.direct_pass import DirectImage, bin_order
 from render.transport.passes.direct_samples import DirectSamples, sample_direct
 
@@ -22,10 +23,12 @@ if TYPE_CHECKING:
 
     from render.transport.kernels.time_bins import TimeAxis
 
-_CELLS, _FEWEST_CELLS = 240, 2  # in the width of the image, and in x and in y in a pixel
+# In the width of the image; and in x and in y in a pixel, where surfaces have edges within.
+_CELLS, _FEWEST_CELLS = 240, 2
 # What cells of a pixel may differ in: the light by this factor, the change of the path from side to side by
-# so many bins. Others have an edge within the surface, or see it at a grazing angle.
-_UNEVEN, _BENT_BINS = 1.5, 1.0
+# so many bins. Others have an edge within the surface, or see it at a grazing angle. A cell of its own may
+# have as much of it as one of two.
+_UNEVEN, _UNEVEN_ALONE, _BENT_BINS = 1.5, 1.5 ** (1 / 3), 1.0
 _NARROWEST_BINS = 1e-3  # a trapezoid is a difference over its two widths, in float64
 _REACH_BINS = 1.5  # of the B-spline
 
@@ -53,21 +56,25 @@ class Cells:
         return Cells(*(getattr(self, each.name)[pixels] for each in fields(self)))
 
 
-def cell_rule(width: int) -> PixelRule:
-    """Nodes of all cells of a pixel, in an image of this width."""
-    gauss, count = gauss_rule(2), cells_of(width)
+def cell_rule(count: int) -> PixelRule:
+    """Nodes of all cells of a pixel, `count` in x and in y."""
+    gauss = gauss_rule(2)
     nodes = (np.arange(count)[:, None] + gauss.nodes).ravel() / count
     return PixelRule(nodes, np.tile(gauss.weights, count) / count)
 
 
-def cells_of(width: int) -> int:
-    """Cells in x and in y in a pixel, in an image of this width."""
-    return max(_FEWEST_CELLS, -(-_CELLS // width))
+def cells_of(view: View, order: int) -> int:
+    """Cells in x and in y in a pixel, of which the direct return has at least `order` nodes in x and in y."""
+    return max(_FEWEST_CELLS if view.all_is_direct else 1, -(-order // 2), -(-_CELLS // view.layout.width))
 
 
-def cells_from(energy: NDArray[np.floating], opl_m: NDArray[np.floating], layout: TransientLayout) -> Cells:
-    """Cells from the light at the nodes of `cell_rule` and its path, both (P, nodes)."""
-    count = cells_of(layout.width)
+def cells_from(
+    energy: NDArray[np.floating], opl_m: NDArray[np.floating], layout: TransientLayout, count: int
+) -> Cells:
+    """Cells from the light at the nodes of `cell_rule` and its path, both (P, nodes).
+
+    Towards the horizon of a plane, the path x grows like 1 / y, with a second difference of 2 x'^2 / x.
+    """
     e, path_m = (
         each.reshape(-1, count, 2, count, 2).transpose(0, 1, 3, 2, 4).astype(float)
         for each in (energy, opl_m)
@@ -79,9 +86,12 @@ def cells_from(energy: NDArray[np.floating], opl_m: NDArray[np.floating], layout
     gap = np.sqrt(3)  # sides of a cell over the distance of its nodes
     across = gap * (place[..., 1] - place[..., 0]).mean(axis=3)
     down = gap * (place[..., 1, :] - place[..., 0, :]).mean(axis=3)
-    bent = np.maximum(*(np.ptp(each, axis=(1, 2)) for each in (across, down)))
+    length = place.mean(axis=(3, 4)) + layout.start_opl_m / layout.bin_width_m
+    sag = np.divide(2 * (across**2 + down**2), length, out=np.zeros_like(length), where=length > 0)
+    bent = np.maximum.reduce([*(np.ptp(each, axis=(1, 2)) for each in (across, down)), sag.max(axis=(1, 2))])
     dim, bright = (end(e, axis=(1, 2, 3, 4)) for end in (np.min, np.max))
-    smooth = known & (((dim > 0) & (bent < _BENT_BINS) & (bright < _UNEVEN * dim)) | (bright == 0))
+    uneven = _UNEVEN if count > 1 else _UNEVEN_ALONE
+    smooth = known & (((dim > 0) & (bent < _BENT_BINS) & (bright < uneven * dim)) | (bright == 0))
     widths = [np.maximum(np.abs(each), _NARROWEST_BINS) for each in (across, down)]
     total, middle, across, down = (each.reshape(len(e), count**2) for each in (total, middle, *widths))
     return Cells(total, middle, across, down, smooth)
@@ -187,20 +197,19 @@ class DirectBins:
         return dr.sum(found[0])[0], dr.sum(found[1])[0]
 
 
-def direct_bins(
-    scene: mi.Scene, grid: Grid, image: DirectImage, layout: TransientLayout, seed: int
-) -> DirectBins:
+def direct_bins(scene: mi.Scene, grid: Grid, image: DirectImage, view: View) -> DirectBins:
     """The light of all cells, and of nodes where cells are not exact enough."""
-    rule, fine = cell_rule(grid.width), gauss_rule(bin_order(grid.width))
+    count = cells_of(view, image.order)
+    rule, fine = cell_rule(count), gauss_rule(bin_order(grid.width))
     edges, edge_samples = image.edges, image.edge_samples
     if image.lit is not None:
         edges, edge_samples = image.lit.joined(edges, edge_samples)
     uniform = np.setdiff1d(np.flatnonzero(image.surface.ravel() > 0), edges.pixels)
-    found = sample_direct(scene, grid.points(uniform, rule.pixel_nodes).reshape(-1, 2), seed)
+    found = sample_direct(scene, grid.points(uniform, rule.pixel_nodes).reshape(-1, 2), view.seed)
     energy = found.radiance.reshape(-1, rule.count) * rule.pixel_weights
-    cells = cells_from(energy, found.opl_m.reshape(energy.shape), layout)
+    cells = cells_from(energy, found.opl_m.reshape(energy.shape), view.layout, count)
     rough = uniform[~cells.smooth]
-    nodes = sample_direct(scene, grid.points(rough, fine.pixel_nodes).reshape(-1, 2), seed)
+    nodes = sample_direct(scene, grid.points(rough, fine.pixel_nodes).reshape(-1, 2), view.seed)
     pixel = np.concatenate([np.repeat(rough, fine.count), edges.pixel])
     order = np.argsort(pixel, kind="stable")
     samples = DirectSamples.joined([nodes, edge_samples]).at(order)

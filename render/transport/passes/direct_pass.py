@@ -66,6 +66,7 @@ class DirectImage:
     edge_samples : the direct return at the points of `edges`.
     lit : the pixels that are lit in part; None of a flash at the camera, which lights all that it sees.
     missed : bound of the norm of the error of `phasors`, (F,): rounding, and what more nodes would change.
+    order : nodes in x and in y that most pixels need.
     """
 
     phasors: NDArray[np.complex128]
@@ -74,6 +75,7 @@ class DirectImage:
     edge_samples: DirectSamples
     lit: LitPixels | None
     missed: NDArray[np.float64]
+    order: int
 
 
 def gather_direct(
@@ -126,7 +128,7 @@ def gather_direct(
         z = measure.phasors(lit_in_part.samples, nodes.weights)
         flat[nodes.pixels] = group_sums(z, nodes.pixel, len(flat))[nodes.pixels]
     all_missed = np.hypot(np.hypot(missed, found.missed), changed * np.linalg.norm(flat, axis=0))
-    return DirectImage(phasors, surface, edges, samples, lit_in_part, all_missed)
+    return DirectImage(phasors, surface, edges, samples, lit_in_part, all_missed, order)
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def transient_rows(
     if field is not None and not len(field.lights):
         field = None  # a black object
     layout = view.layout
-    parts: list[DirectBins | _HiddenPart] = [direct_bins(scene, grid, direct, layout, view.seed)]
+    parts: list[DirectBins | _HiddenPart] = [direct_bins(scene, grid, direct, view)]
     if field is not None:
         parts.append(_HiddenPart(scene, view, grid, rule, direct, field))
     ends = np.array([part.ends(layout) for part in parts])
@@ -100,7 +100,7 @@ def _row_blocks(
         found = [part.add(rows, bins.start, axis, block) for part in parts]
         lost += sum(part[1] for part in found)
         arrived += found[-1][0]
-        yield np.array(block).reshape(rows[1] - rows[0], grid.width, layout.bin_count)
+        yield block.numpy().reshape(rows[1] - rows[0], grid.width, layout.bin_count)
     if lost > _MOST_LOST * arrived:
         whole = view.layout
         end_m = whole.start_opl_m + whole.bin_count * whole.bin_width_m

@@ -80,7 +80,13 @@ def check(scene, variant, layout, wrong):
 
 @pytest.mark.parametrize(
     ("width", "bin_width_m", "fov_deg", "roughness"),
-    [(24, 0.01, 60, 0.3), (80, 0.01, 90, 0.3), (80, 0.05, 60, None), (80, 0.0025, 60, None)],
+    [
+        (24, 0.01, 60, 0.3),
+        (80, 0.01, 90, 0.3),
+        (80, 0.05, 60, None),
+        (80, 0.0025, 60, None),
+        (240, 0.02, 90, 0.3),  # a single cell in a pixel, and more where that is not enough
+    ],
 )
 def test_light_of_walls_is_in_the_right_bins(variant, tmp_path, width, bin_width_m, fov_deg, roughness):
     wall = corner.DIFFUSE if roughness is None else corner.rough_plastic(roughness)
