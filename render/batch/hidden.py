@@ -108,17 +108,18 @@ class HiddenRatios:
         Both are 0 of an empty corner.
         """
         count = len(scenes.scenes)
-        ratio = np.zeros((count, self.height, self.width, len(scenes.batch.phase_per_metre)), np.complex64)
+        shape = (count, self.height, self.width, len(scenes.batch.phase_per_metre))
+        over_direct = np.zeros(shape, np.complex64)
         error = np.zeros(count)
         left = np.array([n for n, scene in enumerate(scenes.scenes) if scene.hidden_objects], int)
         if not len(left):
-            return ratio, error
+            return over_direct, error
         effort = _Effort.first(scenes, self.error)
         for _ in range(_MOST_PASSES):
             tried = effort.some(left)
             values, of_points, of_lattice = self._evaluated(scenes, left, tried)
             error[left] = np.hypot(np.hypot(of_points, of_lattice), _LEAST * self.error)
-            self._interpolate(scenes, left, tried.lattice, values, ratio)
+            self._interpolate(scenes, left, tried.lattice, values, over_direct)
             short = ~(error[left] <= self.error)  # also where it is no number
             effort.more(left[short], *_lacking(of_points[short], of_lattice[short]))
             again = effort.some(left)
@@ -126,7 +127,7 @@ class HiddenRatios:
             left = left[short & more]
             if not len(left):
                 break
-        return ratio, error
+        return over_direct, error
 
     def _evaluated(
         self, scenes: Scenes, chosen: Ints, effort: _Effort

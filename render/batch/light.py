@@ -95,9 +95,9 @@ class BatchedLight:
     def images(self, scenes: Sequence[Scene]) -> LightImages:
         """The light of scenes; each is the same in any batch."""
         ready = self._world.scenes(scenes, self.frequencies_hz)
-        ratio, error = self._hidden.of(ready)
+        over_direct, error = self._hidden.of(ready)
         direct = self._direct(ready)
-        return LightImages(direct, direct * ratio, self._depth(ready), error)
+        return LightImages(direct, direct * over_direct, self._depth(ready), error)
 
     def _direct(self, scenes: Scenes) -> Phasors:
         """(N, H, W, F) direct return."""

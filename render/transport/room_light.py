@@ -119,5 +119,5 @@ def _options(
         return options
     tried = workshop.evaluated(FIRST_TRIAL, RUNS, _STREAM)[1].values.mean(axis=0)  # (P, F)
     mean = np.linalg.norm(tried, axis=0) / np.sqrt(len(tried))
-    ratio = float((strength / np.sqrt(grid.width * grid.height) / mean).min()) if mean.all() else 1.0
-    return replace(options, error=float(np.clip(options.error * ratio, _LEAST_ERROR, _MOST_ERROR)))
+    times = float((strength / np.sqrt(grid.width * grid.height) / mean).min()) if mean.all() else 1.0
+    return replace(options, error=float(np.clip(options.error * times, _LEAST_ERROR, _MOST_ERROR)))

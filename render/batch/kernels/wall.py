@@ -104,5 +104,5 @@ def _smith(cosine: mi.Float, alpha: mi.Float) -> mi.Float:
 def _fresnel(cosine: mi.Float) -> mi.Float:
     """Reflectance of an unpolarised ray (Walter et al. 2007, eq. 22)."""
     g = dr.sqrt(_INDEX**2 - 1 + dr.square(cosine))
-    ratio = (cosine * (g + cosine) - 1) / (cosine * (g - cosine) + 1)
-    return dr.square((g - cosine) / (g + cosine)) * (1 + dr.square(ratio)) / 2
+    p_over_s = (cosine * (g + cosine) - 1) / (cosine * (g - cosine) + 1)
+    return dr.square((g - cosine) / (g + cosine)) * (1 + dr.square(p_over_s)) / 2

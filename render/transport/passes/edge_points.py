@@ -67,9 +67,9 @@ class ChosenPoints:
         whole : (M, F) carrier at all points.
         """
         plain = self.sums(values * self.weights[:, None])
-        ratio = np.divide(values, carrier, out=np.zeros_like(values), where=carrier != 0)
-        ratio = ratio.reshape(len(plain), _EDGE_POINTS, values.shape[1])  # (G, K, F)
-        start = (carrier * self.weights[:, None]).reshape(ratio.shape)
+        over_carrier = np.divide(values, carrier, out=np.zeros_like(values), where=carrier != 0)
+        over_carrier = over_carrier.reshape(len(plain), _EDGE_POINTS, values.shape[1])  # (G, K, F)
+        start = (carrier * self.weights[:, None]).reshape(over_carrier.shape)
         powers, all_powers = self._powers()  # (6, G, K), (6, M)
         weighted = whole * self.seen_weights[:, None]
         moments = np.stack([self.totals(weighted * each[:, None]) for each in all_powers])  # (6, G, F)
@@ -80,7 +80,7 @@ class ChosenPoints:
             p = powers[:count].transpose(1, 0, 2)
             inverse = np.linalg.pinv(p @ p.transpose(0, 2, 1), rcond=_ALIKE, hermitian=True)
             change = np.einsum("gik,gij,gjf->gkf", p, inverse, lacks[:, :count], optimize=True)
-            by_degree = ((start + change) * ratio).sum(axis=1)
+            by_degree = ((start + change) * over_carrier).sum(axis=1)
             # A carrier with steps keeps the degree before.
             kept = dark | (np.abs(start + change).sum(axis=1) > most)
             found = [np.where(kept, found[0], found[1]), np.where(kept, found[1], by_degree)]

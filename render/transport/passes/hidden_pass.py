@@ -95,8 +95,8 @@ class HiddenField:
         shape = (len(pixels), rule.count, len(self.frequencies_hz))
         values, carrier = (each(points).reshape(shape) for each in (self._exact, self._carrier))
         mean, even = (np.einsum("pnf,n->pf", each, rule.pixel_weights) for each in (values, carrier))
-        ratio = np.divide(mean, even, out=np.zeros_like(mean), where=even != 0)
-        off = np.linalg.norm(values - ratio[:, None] * carrier, axis=-1).max(axis=-1, initial=0)
+        over_carrier = np.divide(mean, even, out=np.zeros_like(mean), where=even != 0)
+        off = np.linalg.norm(values - over_carrier[:, None] * carrier, axis=-1).max(axis=-1, initial=0)
         return mean, np.where(off > _UNEVEN * np.linalg.norm(mean, axis=-1), off, 0)
 
     def _refine(
@@ -161,11 +161,11 @@ class HiddenField:
         x, y = (
             ((np.arange(size)[:, None] + rule.nodes) / size).ravel() for size in (grid.width, grid.height)
         )
-        ratio = self.lattice.interpolated_grid(self.over_carrier, x, y)  # (H n, W n, F)
+        over_carrier = self.lattice.interpolated_grid(self.over_carrier, x, y)  # (H n, W n, F)
         n = len(rule.nodes)
-        ratio = ratio.reshape(grid.height, n, grid.width, n, -1).transpose(0, 2, 1, 3, 4)
-        ratio = ratio.reshape(len(surface), rule.count, z.shape[-1])[smooth]
-        values = carrier.reshape(ratio.shape) * ratio
+        over_carrier = over_carrier.reshape(grid.height, n, grid.width, n, -1).transpose(0, 2, 1, 3, 4)
+        over_carrier = over_carrier.reshape(len(surface), rule.count, z.shape[-1])[smooth]
+        values = carrier.reshape(over_carrier.shape) * over_carrier
         z[smooth] = np.einsum("pnf,n->pf", values, rule.pixel_weights)
         return smooth
 
@@ -249,9 +249,9 @@ def make_field(
     carrier = gather_carrier(scene, checks, frequencies_hz, lights.centre)
     values = runs.values
     while True:
-        ratio, valid, surface = _over_carrier(scene, lattice, values, frequencies_hz, lights)  # (R, N, F)
+        over_carrier, valid, surface = _over_carrier(scene, lattice, values, frequencies_hz, lights)
         inside = lattice.covers(checks, valid) & (seen == surface)
-        table = ratio.transpose(1, 0, 2)  # (N, R, F)
+        table = over_carrier.transpose(1, 0, 2)  # (N, R, F)
         between = lattice.interpolated(table.reshape(len(table), -1), checks[inside])
         between = between.reshape(-1, *table.shape[1:]).transpose(1, 0, 2) * carrier[inside]
         missed = common_part(between - exact[:, inside], np.linalg.norm(exact.mean(axis=0), axis=0))
@@ -260,7 +260,7 @@ def make_field(
         is_enough = np.all(missed <= max(share, left if is_last else left / 2**0.5))
         if inside.any() and (is_enough or (settles and is_last)):
             error = float(np.hypot(random, missed).max())
-            mean = ratio.mean(axis=0)
+            mean = over_carrier.mean(axis=0)
             return HiddenField(scene, lights, frequencies_hz, lattice, mean, valid, surface, error)
         if is_last:
             return everywhere
@@ -298,8 +298,8 @@ def _over_carrier(
     numbers, counts = np.unique(seen[seen > 0], return_counts=True)
     surface = int(numbers[counts.argmax()]) if len(numbers) else 0
     valid = (seen == surface) & (seen > 0) & (carrier != 0).all(axis=1)
-    ratio = np.divide(values, carrier, out=np.zeros_like(values), where=valid[:, None])
+    over_carrier = np.divide(values, carrier, out=np.zeros_like(values), where=valid[:, None])
     if not valid.all():
         shape, mask = (*lattice.shape, -1), valid.reshape(lattice.shape)
-        ratio = np.stack([filled(one.reshape(shape), mask).reshape(one.shape) for one in ratio])
-    return ratio, valid, surface
+        over_carrier = np.stack([filled(one.reshape(shape), mask).reshape(one.shape) for one in over_carrier])
+    return over_carrier, valid, surface
