@@ -3,8 +3,9 @@
 Of each scene one good image and one of its empty corner are taken, with one of four noises, or by one of the
 given cameras in turn. Counts of what `capture check` and `predict` say, findings by their codes (those that
 refuse with an exclamation mark), and quantiles of the share of the hidden light that the network's answers
-explain. *Hidden* counts the warnings "noise hides the hidden light" that are right: the true light of the
-scene, in the network's channels, is below what the noise hides. With `--out`, a run that was stopped goes on.
+explain. *Right* counts the good images whose warning of `predict` is right: the answer has no smaller MAE
+than "no object"; or noise is said to hide the hidden light, and the true light of the scene, in the network's
+channels, is below what the noise hides. With `--out`, a run that was stopped goes on.
 Run:
 
     .venv/bin/python benchmarks/foreign_measurements.py night-80x60 judge --count 300 --foreign --seed 47
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from itof import phase
 from itof.arrays import Phasors
@@ -38,7 +40,8 @@ from scenegen import load_preset
 AT_ONCE = 20
 NOISES = (0.0, 3e-4, 1e-3, 3e-3)  # of a pixel's amplitude
 QUANTILES = (0.01, 0.05, 0.5)
-Images = tuple[Phasors, Phasors, Phasors]  # of a scene, of another by the same camera, of the empty corner
+# Of a scene, of another by the same camera, and of the empty corner; and the true depth map.
+Images = tuple[Phasors, Phasors, Phasors, NDArray[np.floating]]
 Row = dict[str, Any]  # what was said about one image
 
 
@@ -63,7 +66,7 @@ def main() -> None:
         if given.out:
             with given.out.open("a") as file:
                 file.writelines(json.dumps(row) + "\n" for row in new)
-    head = "| measurement | images | check: warned, refused | predict: warned, refused | hidden "
+    head = "| measurement | images | check: warned, refused | predict: warned, refused | right "
     print(
         head
         + "| with an object | explained: 1 %, 5 %, median | findings |\n|---|---|---|---|---|---|---|---|"
@@ -80,19 +83,19 @@ def of_scene(
     fov_deg: float,
 ) -> Iterator[Row]:
     """What is said about the images of a scene: good, empty, and foreign."""
-    z, other, empty = images
+    z, other, empty, depth_m = images
     rng = np.random.default_rng([given.seed, scene])
     frequencies_hz = predictor.config.inputs.frequencies_hz
-    for name, image in (("good", z), ("empty", empty)):
+    for name, image, true_m in (("good", z, depth_m), ("empty", empty, np.zeros_like(depth_m))):
         if given.sensor:
             sensor = given.sensor[scene % len(given.sensor)]
             camera = Camera(load_sensor(sensor), frequencies_hz)
             seen, reference = (camera.capture(each, rng).phasor for each in (image, empty))
-            row = said(predictor, seen, fov_deg, reference, true=(image, empty))
+            row = said(predictor, seen, fov_deg, reference, true=(image, empty, true_m))
             yield {"kind": f"{name}, {sensor}"} | row
         else:
             noise = NOISES[scene % len(NOISES)]
-            row = said(predictor, grainy(image, noise, rng), fov_deg, true=(image, None))
+            row = said(predictor, grainy(image, noise, rng), fov_deg, true=(image, None, true_m))
             yield {"kind": f"{name}, noise {noise:g}"} | row
     if given.foreign:
         for kind, spoilt in foreign(z, other, frequencies_hz).items():
@@ -121,7 +124,8 @@ def pairs(
             direct = images.direct[place].astype(np.complex128)
             other = others.direct[place].astype(np.complex128) + others.hidden[place]
             fov_deg = scene.camera.horizontal_fov_deg
-            yield start + place, (direct + images.hidden[place], other, direct), fov_deg
+            depth_m = images.radial_depth_m[place]
+            yield start + place, (direct + images.hidden[place], other, direct, depth_m), fov_deg
 
 
 def grainy(z: Phasors, noise: float, rng: np.random.Generator) -> Phasors:
@@ -155,15 +159,15 @@ def said(
     z: Phasors,
     fov_deg: float,
     reference: Phasors | None = None,
-    true: tuple[Phasors, Phasors | None] | None = None,
+    true: tuple[Phasors, Phasors | None, NDArray[np.floating]] | None = None,
 ) -> Row:
-    """What `capture check` and `predict` say about an image. `true`: it and its reference without noise."""
+    """What `capture check` and `predict` say about an image. `true`: both without noise, and the depth."""
     inputs, found = predictor.config.inputs, []
     seen = predictor.at(predictor.config.geometry.with_fov(fov_deg))
     own, shift_m = inputs.self_calibrates, inputs.largest_shift_m
     checked = check_measurement(z, seen.wall, reference, self_calibrated=own, known_shift_m=shift_m)
     found += checked.findings
-    row: Row = {"object": False, "share": None, "hidden": False}
+    row: Row = {"object": False, "share": None, "right": False}
     if not any(each.refused for each in found):
         prediction = seen.predict(z[None], reference, rescale=True)
         (light,) = seen.explained_light(z[None], prediction, reference, thorough=True)
@@ -172,9 +176,12 @@ def said(
             told = list(light.findings(shows_object=row["object"]))
             found += told
             row["share"] = light.share
-            if told and light.share is None and true is not None:
-                hidden = seen.hidden_light(*true)
-                row["hidden"] = hidden is not None and bool(np.sqrt((hidden**2).mean()) < light.hideable)
+            if told and true is not None:
+                *images, true_m = true
+                hidden = seen.hidden_light(*images) if light.share is None else None
+                is_hidden = hidden is not None and np.sqrt((hidden**2).mean()) < light.hideable
+                off_m = np.abs(prediction.radial_depth_m[0] * prediction.mask[0] - true_m).mean()
+                row["right"] = bool(is_hidden or (row["object"] and off_m >= true_m.mean()))
     first = check_image(z, inputs.frequencies_hz, fov_deg).findings
     codes = ([f"{each.code}{'!' * each.refused}" for each in some] for some in (first, found))
     return row | dict(zip(("check", "predict"), codes, strict=True))
@@ -189,12 +196,12 @@ def tell(kind: str, rows: list[Row]) -> None:
         counts.append(f"{warned}, {refused}")
     shares = [row["share"] for row in rows if row["share"] is not None]
     share = ", ".join(f"{each:.2f}" for each in np.quantile(shares, QUANTILES)) if shares else ""
-    hidden, objects = (sum(row[name] for row in rows) for name in ("hidden", "object"))
+    right, objects = (sum(row[name] for row in rows) for name in ("right", "object"))
     codes = Counter(
         f"{command} {code}" for row in rows for command in ("check", "predict") for code in row[command]
     )
     words = ", ".join(f"{code} {count}" for code, count in codes.items())
-    cells = (kind, len(rows), *counts, hidden, objects, share, words)
+    cells = (kind, len(rows), *counts, right, objects, share, words)
     print("| " + " | ".join(map(str, cells)) + " |")
 
 
