@@ -130,9 +130,10 @@ def draw_plan(
     named = [("camera", _SIGHT), ("relay wall", _RELAY), ("object", _OBJECT)]
     named += [] if plan.middle_wall is None else [("middle wall", MIDDLE)]
     page.paste(picture.reduce(_FINE), (corner[0], corner[1] + HEAD))
-    words, x = ImageDraw.Draw(page), corner[0]
+    words, x = ImageDraw.Draw(page), corner[0] + size[0]
     words.text(corner, "from above, m", INK, font())
-    x = corner[0] + size[0]
+    if plan.middle_wall is None:  # else one might think that the room has none
+        words.text((x - 6, corner[1] + HEAD + 3), "the middle wall is not known", INK, font(), anchor="ra")
     for name, colour in reversed(named):
         words.text((x, corner[1]), name, colour, font(), anchor="ra")
         x -= int(font().getlength(f"{name}  "))

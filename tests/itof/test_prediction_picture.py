@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import ImageDraw
 from scipy.spatial.transform import Rotation
 
 from itof import DepthMap, pixel_rays
@@ -62,6 +63,21 @@ def test_a_middle_wall_stands_in_the_plan_where_the_room_has_it():
 
 def count(picture, colour):
     return int((np.asarray(picture) == colour).all(axis=-1).sum())
+
+
+@pytest.mark.parametrize("middle_wall_m", [None, np.zeros((4, 3))], ids=["unknown", "known"])
+def test_a_plan_without_a_middle_wall_says_that_it_is_not_known(middle_wall_m, monkeypatch):
+    written, write = [], ImageDraw.ImageDraw.text
+
+    def text(pen, place, words, *rest, **how):
+        written.append(words)
+        write(pen, place, words, *rest, **how)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    plan = Plan.of(view(3.0).answer, Room(ABOVE, PLANE, middle_wall_m), FOV_DEG)
+    draw_prediction(replace(view(3.0), plan=plan), "words")
+    is_known = middle_wall_m is not None
+    assert ("middle wall" in written, "the middle wall is not known" in written) == (is_known, not is_known)
 
 
 def test_with_one_scale_the_same_depth_has_the_same_colour_in_all_pictures():
