@@ -115,6 +115,9 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
             points_gt_m = object_points(truth_m, mask, fov_deg)
             points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, fov_deg)
             _write_clouds(clouds, name, points_gt_m, points_pred_m)
+    bare = sum(r.roundness_pred is None for r in results), sum(r.roundness_gt is None for r in results)
+    if any(bare):
+        _log.info("no object, so no point cloud: in %d predictions and %d true images", *bare)
     location = bench.dataset.preset.places_m
     return Report(
         split=split,
@@ -179,5 +182,3 @@ def _write_clouds(
     for name, (points_m, colours) in views.items():
         if len(points_m):
             write_point_cloud(folder / f"{scene}_{name}.ply", points_m, colours)
-        else:
-            _log.info("scene %s shows no object (%s): no point cloud", scene, name)

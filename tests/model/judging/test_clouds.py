@@ -119,3 +119,13 @@ def test_the_files_of_a_report_have_the_colours_of_the_distances(seeing_run, clo
         np.testing.assert_array_equal(prediction.visual.vertex_colors, distance_colours(distance_m))
         blue = (255 * np.array(to_rgba(TRUTH_COLOUR))).round()
         assert (truth.visual.vertex_colors == blue).all()
+
+
+def test_scenes_without_a_point_cloud_are_counted_in_one_sentence(
+    finished_run, closed_form_scenes, tmp_path, caplog
+):
+    caplog.set_level("INFO")
+    report = evaluate(finished_run, closed_form_scenes, tmp_path / "out", mask_threshold=1e6, progress=False)
+    said = [record.getMessage() for record in caplog.records if "point cloud" in record.getMessage()]
+    assert len(report.scenes) > 1
+    assert said == [f"no object, so no point cloud: in {len(report.scenes)} predictions and 0 true images"]
