@@ -10,6 +10,7 @@ from typing import Protocol, Self, TextIO
 
 _SHARE = 0.05  # of the work, after which a line is due
 _SHORTEST_S, _LONGEST_S = 1.0, 30.0  # between two lines
+_TOGETHER_S = 0.1  # between units that were done at once, as a batch of scenes
 
 
 class Progress(Protocol):
@@ -29,7 +30,7 @@ class Lines:
     """Prints lines like ``render: 120 of 1344 scenes, 2.1 scenes/s, 9 min left (failed=0)``.
 
     A line appears when 5 % more of the work are done, but at most once a second, and when 30 s have passed
-    and any work is done. The first update comes late, after programs were loaded and compiled; the pace is
+    and any work is done. The first updates come late, after programs were loaded and compiled; the pace is
     that of the others. Work of less than a second prints nothing. A stream that takes no more lines stops
     nothing: the work goes on.
 
@@ -57,7 +58,7 @@ class Lines:
         self._initial = self._done = self._printed = initial
         self._stream, self._clock = stream, clock
         self._began_s = self._printed_s = clock()
-        self._first: tuple[float, int] | None = None  # when the first update came, and what was done then
+        self._first: tuple[float, int] | None = None  # when the first updates came, and what was done then
         self._values = ""
         self._began_to_print = False
 
@@ -65,7 +66,9 @@ class Lines:
         """Count `n` more units of work."""
         self._done += n
         now_s = self._clock()
-        self._first = self._first or (now_s, self._done)
+        first_s = now_s if self._first is None else self._first[0]
+        if now_s - first_s <= _TOGETHER_S:
+            self._first = (first_s, self._done)
         waited_s = now_s - self._printed_s
         if waited_s < _SHORTEST_S or self._done == self._printed:
             return

@@ -66,6 +66,14 @@ def test_the_wait_before_the_first_scene_makes_no_pace():
     assert lines[-1] == "render: 384 of 384 scenes, 1.3 s/scene, 8 min in all"
 
 
+def test_scenes_that_are_done_at_once_make_no_pace():
+    batch = [10.0] + [1e-3] * 19
+    lines = run_of(100, [100.0, *batch[1:], *batch * 4])
+    assert lines[0] == "render: 1 of 100 scenes"
+    assert lines[1] == "render: 21 of 100 scenes, 10.0 s/scene, 13 min left"  # one after the first 20
+    assert lines[2] == "render: 41 of 100 scenes, 1.0 scenes/s, 56 s left"  # 21 in 20.02 s
+
+
 def test_work_that_was_done_before_makes_no_pace():
     lines = run_of(100, [2.0] * 10, initial=50)
     assert lines[0] == "render: 55 of 100 scenes, 2.0 s/scene, 2 min left"
