@@ -1,13 +1,13 @@
-"""The page about captures: its example runs, and its table has the keys of the sidecar."""
+"""Frames of a wall from check to import; the page about captures has the keys of the sidecar."""
 
 import re
-import shlex
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 from night_commands import night_here
 
+from itof import direct_phasors
 from itof.capture.sidecar import Lens, Sidecar
 from itof.files.measurement_files import read_measurement
 from itof.wall.expected_wall import ExpectedWall
@@ -15,20 +15,47 @@ from itof.wall.expected_wall import ExpectedWall
 PAGE = (Path(__file__).parents[2] / "docs/guide/captures.md").read_text()
 
 
-def blocks(language):
-    found = re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.M | re.S)
-    return [block.replace("\\\n", " ") for block in found]
+SIDECAR = """
+layout = "taps"
+arrays = ["raw"]
+axes = ["frame", "row", "column", "frequency", "step", "tap"]
+frequencies_hz = [20e6, 50e6, 60e6]
+horizontal_fov_deg = 60.0
+step_count = 4
+tap_count = 2
+bits = 16
+"""
 
 
-def test_the_example_runs_and_ends_as_the_page_says(tmp_path, monkeypatch):
+def save_frames():
+    """Ten raw frames of an empty wall, with the shot noise of up to 20,000 electrons."""
+    frequencies_hz = (20e6, 50e6, 60e6)
+    plane = np.array([-0.5, 0.1, 0.6])  # points p of the wall have plane · p = 1; x right, y down, z forward
+    camera = (np.eye(3), np.zeros(3))
+    wall = direct_phasors(160, 120, 60.0, frequencies_hz, *camera, plane / (plane @ plane), plane)
+    light = 20000 * wall / abs(wall).max()  # (row, column, frequency)
+    steps = 2 * np.pi * np.arange(4) / 4
+    differences = np.real(light[..., None] * np.exp(-1j * steps))  # (row, column, frequency, step)
+    both = abs(light)[..., None]
+    taps = np.stack([both + differences, both - differences], axis=-1) / 2
+    raw = np.random.default_rng(0).poisson(taps, (10, *taps.shape))
+    np.savez("frames.npz", raw=raw.astype("uint16"))
+
+
+def test_frames_of_a_wall_are_imported_with_the_noise_of_their_electrons(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(blocks("python")[0], {})  # noqa: S102
-    (tmp_path / "camera.toml").write_text(blocks("toml")[0])
-    for line in blocks("sh")[0].splitlines():
-        done = night_here(*shlex.split(line))
+    save_frames()
+    (tmp_path / "camera.toml").write_text(SIDECAR)
+    how = ("--sidecar", "camera.toml", "--size", "40x30")
+    for words in (
+        ("check", "frames.npz", *how, "--out", "check.png"),
+        ("import", "frames.npz", *how, "--out", "corner.npz"),
+        ("check", "corner.npz"),
+    ):
+        done = night_here("night-eval", "capture", *words)
         assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("fine: nothing is wrong")
-    wrong = night_here(*shlex.split(blocks("sh")[1]))
+    wrong = night_here("night-eval", "capture", "check", "frames.npz", *how, "--set", "phase_sign = -1")
     assert wrong.returncode == 2
     assert "the phase falls with distance: conjugate?" in wrong.stderr
     found = read_measurement("corner.npz")
