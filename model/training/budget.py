@@ -31,7 +31,8 @@ from scenegen.unit_meshes import UnitMesh
 
 _LISTS: Final = 2  # of scenes that a worker renders at once, whose time is taken after the first
 _EPOCHS: Final = 16  # about so many, of the sizes below
-_SMALLEST_EPOCH, _LARGEST_EPOCH = 256, 8192  # scenes
+_SMALL, _LARGEST_EPOCH = 256, 8192  # scenes
+_LEAST_EPOCH: Final = 32  # where the time is too short for a small one, as on a busy machine
 
 
 @dataclass(frozen=True)
@@ -60,14 +61,16 @@ class Speed:
         ------
         TrainingError : not one does.
         """
-        size = _SMALLEST_EPOCH
+        size = _SMALL
         while size < _LARGEST_EPOCH and 2 * size * _EPOCHS <= (budget_s - self.start_s) * self.scenes_per_s:
             size *= 2
+        while size > _LEAST_EPOCH and self.seconds(1, size) > budget_s:
+            size //= 2
         epochs = int((budget_s - self.start_s) / self._epoch_s(size))
         if epochs < 1:
             raise TrainingError(
                 f"a budget of {budget_s:.3g} s is too small: one epoch of {size} scenes takes "
-                f"{self.seconds(1, size):.3g} s here; give {self.seconds(_EPOCHS, size):.3g} s or more"
+                f"{self.seconds(1, size):.3g} s here; give {self.seconds(_EPOCHS, _SMALL):.3g} s or more"
             )
         return epochs, size
 

@@ -101,7 +101,7 @@ def test_a_budget_becomes_epochs_and_the_nearest_network_is_never_spoilt(tmp_pat
     )
     refused = night_train(tmp_path, *given, "--budget", "0.1s")
     assert refused.returncode == 2
-    assert "a budget of 0.1 s is too small: one epoch of 256 scenes takes " in refused.stderr
+    assert "a budget of 0.1 s is too small: one epoch of 32 scenes takes " in refused.stderr
     assert not (tmp_path / "net").exists()
     done = night_train(tmp_path, *given, "--max-epochs", 1, "--set", "run.epoch_scenes=16")
     assert done.returncode == 0, done.stderr

@@ -66,7 +66,8 @@ def test_without_one_a_training_starts_from_new_weights_and_says_why(scenes, lac
 
 
 @pytest.mark.parametrize(
-    ("budget_s", "scenes"), [(9, 256), (60, 256), (120, 512), (1800, 8192), (36_000, 8192)]
+    ("budget_s", "scenes"),
+    [(7, 64), (8, 128), (9, 256), (60, 256), (120, 512), (1800, 8192), (36_000, 8192)],
 )
 def test_a_time_gives_as_many_epochs_as_fit_into_it(budget_s, scenes):
     epochs, size = SPEED.epochs_in(budget_s)
@@ -76,9 +77,9 @@ def test_a_time_gives_as_many_epochs_as_fit_into_it(budget_s, scenes):
 
 def test_a_time_that_is_too_short_for_an_epoch_is_refused_with_one_that_is_not():
     with pytest.raises(
-        TrainingError, match=r"8 s is too small: one epoch of 256 scenes takes 8.56 s here; give 62"
+        TrainingError, match=r"6 s is too small: one epoch of 32 scenes takes 6.32 s here; give 62"
     ):
-        SPEED.epochs_in(8.0)
+        SPEED.epochs_in(6.0)
 
 
 @pytest.mark.parametrize("kind", CURVES)
