@@ -21,7 +21,7 @@ from itof.unwrapping import combined_range_m
 from itof.wall.expected_wall import ExpectedWall, angle_deg
 from itof.wall.unknown_wall import see_wall
 
-SENSORS = ("ideal", "opt8241", "mlx75027", "calibrated", "sixteen-steps", "cheap")
+SENSORS = ("ideal", "opt8241", "mlx75027", "measured-waves", "calibrated", "sixteen-steps", "cheap")
 FREQUENCIES_HZ = ((20e6, 50e6, 60e6), (40e6, 70e6), (20e6, 100e6), (20e6,), (20e6, 50e6, 60e6))
 COLUMNS = ("off by, cm", "stated, cm", "turned by, °", "stated, °")
 WIDTH, HEIGHT = 80, 60

@@ -10,6 +10,7 @@ import math
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from itof.arrays import Floats, Phasors
 from itof.wall.wall_fit import RobustFit
@@ -47,7 +48,9 @@ def lines_in_disorder(phasor: Phasors) -> str:
 
 def seam(fit: RobustFit) -> str:
     """Where an image is put together of parts that do not fit each other; empty if nowhere."""
-    weight = fit.weight * fit.fits
+    # Where a neighbour shows no wall, the wall may fill a part of the pixel: its mean path is another one.
+    alone = binary_erosion(fit.weight > 0, np.ones((3, 3)), border_value=1)
+    weight = fit.weight * fit.fits * alone
     least = max(_SEAM, _OF_LIGHT * _rms(weight, fit.residual_rad))
     for axis, name in enumerate(_AXES):
         left, strength = np.moveaxis(fit.residual_rad, axis, 0), np.moveaxis(weight, axis, 0)

@@ -89,17 +89,20 @@ def mismatch(phasor: Phasors, wall: NumpyWall, *, free_offsets: bool = False) ->
     return float(1 - (np.abs(agreement) if free_offsets else agreement.real).mean())
 
 
-def find_defects(phasor: Phasors, wall: NumpyWall, *, free_offsets: bool = False) -> tuple[PhaseDefect, ...]:
+def find_defects(
+    phasor: Phasors, wall: NumpyWall, *, free_offsets: bool = False, scaled: bool = True
+) -> tuple[PhaseDefect, ...]:
     """The defects that explain the phases (H, W, F); several if they explain them equally well.
 
     With `free_offsets`, each frequency may have any phase offset, as in a camera that was never calibrated;
-    wrong signs and quarter turns are then not told. Empty if nothing explains the phases much better than
-    the measurement as it stands.
+    wrong signs and quarter turns are then not told. Without `scaled`, phases that are twice or half those of
+    the wall are no defect. Empty if nothing explains the phases much better than the measurement does as it
+    stands.
     """
     before = mismatch(phasor, wall, free_offsets=free_offsets)
     if before < SUSPECT:
         return ()
-    trials = [each for each in _trials(phasor, wall, free_offsets) if each.parts]
+    trials = [each for each in _trials(phasor, wall, free_offsets, scaled) if each.parts]
     best = min(each.mismatch for each in trials)
     if best > min(GOOD, CLEAR * before):
         return ()
@@ -114,11 +117,12 @@ def alternatives(defects: Sequence[PhaseDefect]) -> str:
     return ", or ".join(" and ".join(each.parts) for each in defects)
 
 
-def _trials(phasor: Phasors, wall: NumpyWall, free_offsets: bool) -> Iterator[PhaseDefect]:
+def _trials(phasor: Phasors, wall: NumpyWall, free_offsets: bool, scaled: bool) -> Iterator[PhaseDefect]:
     """Every combination of up to two defects."""
     height, width, count = phasor.shape
     axes = AXES | (SQUARE_AXES if height == width else OBLONG_AXES)
-    factors = FACTORS if count > 1 else {1.0: ""}  # a single frequency does not tell it from a distance
+    # A single frequency does not tell it from a distance.
+    factors = FACTORS if scaled and count > 1 else {1.0: ""}
     for (axis, undo), conjugated, factor in itertools.product(axes.items(), (False, True), factors):
         agreement = _agreement(undo(phasor), wall, factor, conjugated=conjugated)
         for (conjugate, times), turn in TURNS.items():

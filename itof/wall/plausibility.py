@@ -90,6 +90,11 @@ def check_measurement(
     if spoilt := tuple(image_defects(phasor, wall.frequencies_hz)):
         return Plausibility(spoilt, None)
     findings = _amplitudes_and_conventions(phasor, wall, free_offsets=free_offsets)
+    if known_shift_m and any(finding.refused for finding in findings):
+        seen = locate_wall(phasor, wall, direct=reference)
+        if seen is not None and found(seen) and seen.mean_shift_m <= known_shift_m:
+            # Other distances look like other frequencies.
+            findings = _amplitudes_and_conventions(phasor, wall, free_offsets=free_offsets, scaled=False)
     if any(finding.refused for finding in findings):
         return Plausibility(findings, None)
     if (
@@ -148,14 +153,14 @@ def shift_words(shift_m: float, tilt_deg: float) -> str:
 
 
 def _amplitudes_and_conventions(
-    phasor: Phasors, wall: NumpyWall, *, free_offsets: bool
+    phasor: Phasors, wall: NumpyWall, *, free_offsets: bool, scaled: bool = True
 ) -> tuple[Finding, ...]:
     findings = [*brightness_findings(phasor, wall)]
     if any(each.code == "no-wall" for each in findings):
         return tuple(findings)
     if (_phase_spread(phasor, wall) < EVEN**2 * _phase_spread(wall.direct, wall)).all():
         findings.append(Finding("no-wall", "no wall found: the phase is the same in all pixels", True))
-    elif defects := find_defects(phasor, wall, free_offsets=free_offsets):
+    elif defects := find_defects(phasor, wall, free_offsets=free_offsets, scaled=scaled):
         findings.append(Finding("convention", alternatives(defects), True))
     return tuple(findings)
 

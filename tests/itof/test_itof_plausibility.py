@@ -18,7 +18,9 @@ from wall_measurements import (
 
 from itof.wall.plausibility import check_measurement, check_reference, describe_shift
 from itof.wall.wall_fit import fit_wall
+from itof.wall.wall_view import WallView
 from scenegen import open_dataset
+from scenegen.pose import wall_geometry
 
 LEVEL = np.array([-0.6, 0.0, 0.7])  # 1/m: a wall whose rows may be mirrored
 
@@ -248,3 +250,35 @@ def test_any_finite_numbers_are_judged(count):
             found = check_measurement(z, wall, reference)
             assert found.wall is None or np.isfinite(found.wall.misfit_rad).all()
         check_reference(z, wall)
+
+
+def test_a_wall_within_those_of_the_training_is_no_half_of_the_frequencies(closed_form_scenes):
+    """A camera 0.3 m nearer and turned by 4 degrees: its phases look halved to who expects the first."""
+    scene = closed_form_scenes.scene(closed_form_scenes.ids()[0])
+    moved_camera = replace(scene.camera, location_m=(0.71, -0.74, 1.51), rotation_deg=(90.0, -1.7, 53.6))
+    expected, near = (
+        WallView(**wall_geometry(camera, scene.relay_wall)).with_fov(60.0)
+        for camera in (scene.camera, moved_camera)
+    )
+    hz = closed_form_scenes.preset.itof.frequencies_hz
+    wall = expected.expected_wall(expected.direct_phasors(24, 18, hz), hz)
+    z = near.direct_phasors(24, 18, hz)
+    (lone,) = check_measurement(z, wall, self_calibrated=True).findings
+    assert lone.refused
+    assert "half those of the wall" in lone.sentence
+    assert "half" not in " ".join(
+        each.sentence for each in check_measurement(z, wall, self_calibrated=True, known_shift_m=0.5).findings
+    )
+
+
+def test_the_edge_of_another_surface_is_no_seam():
+    """A black surface from column 18 on, whose edge covers a part of the pixels beside it."""
+    wall = wall_of_plane(width=40, height=30)
+    z = wall.direct.copy()
+    z[:, 18:] = 0
+    part = np.linspace(0.6, 0.0, 30)[:, None]  # of a pixel; its mean path is off by half of this
+    step = np.angle(z[:, 17] / z[:, 16])
+    z[:, 17] *= (1 - part) * np.exp(-0.5j * part * step)
+    assert not any("seam" in each.sentence for each in check_measurement(z, wall).findings)
+    z[:, 9:] *= np.exp(0.02j)
+    assert any("seam" in each.sentence for each in check_measurement(z, wall).findings)
