@@ -32,7 +32,6 @@ SHOWN: Final[Mapping[str, Mapping[str, str]]] = {
         "target": "target.kind",
     },
     "Training": {
-        "optimiser": "optimiser.algorithm",
         "learning-rate": "optimiser.learning_rate",
         "batch-size": "optimiser.batch_size",
         "max-epochs": "run.max_epochs",

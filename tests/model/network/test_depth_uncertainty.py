@@ -200,9 +200,12 @@ def test_an_uncertainty_goes_with_mask_and_depth_and_stays(unsure_run, closed_fo
     assert "target.uncertainty goes with target.kind mask+depth, and it is components" in sentence
 
 
-def test_a_prediction_has_the_expected_error_in_its_files(unsure_run, plain_run, exr, tmp_path):
+def test_a_prediction_has_the_expected_error_in_its_files(closed_form_scenes, plain_run, exr, tmp_path):
+    """At two frequencies: the single path of these scenes does not explain three, which is a warning."""
     import json
 
+    two = UNSURE | {"frequencies_hz": (20e6, 50e6)}
+    unsure_run = train_on_one_thread(closed_form_scenes, tmp_path / "runs" / "two" / "run", **two)
     for run, has in ((unsure_run, True), (plain_run, False)):
         out = tmp_path / run.parent.name
         done = night_here("night-eval", "predict", run, exr, "--out", out, "--force")
