@@ -156,7 +156,7 @@ def _train_for(
     chosen: tuple[dict[str, Any], str, dict[str, Any]],
     as_json: bool,
 ) -> None:
-    """Train for the scenes of a preset, the meshes that it names, and their folder."""
+    """Train for `scenes`: a preset, the meshes that it names, and the folder of its file, called `name`."""
     import model
     from model.run_folder.run_config import CONFIG_FILE
     from model.training.nearest import nearest_network

@@ -121,7 +121,7 @@ def _trials(phasor: Phasors, wall: NumpyWall, free_offsets: bool, scaled: bool) 
     """Every combination of up to two defects."""
     height, width, count = phasor.shape
     axes = AXES | (SQUARE_AXES if height == width else OBLONG_AXES)
-    # A single frequency does not tell it from a distance.
+    # A single frequency does not tell a factor from a distance.
     factors = FACTORS if scaled and count > 1 else {1.0: ""}
     for (axis, undo), conjugated, factor in itertools.product(axes.items(), (False, True), factors):
         agreement = _agreement(undo(phasor), wall, factor, conjugated=conjugated)

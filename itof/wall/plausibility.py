@@ -90,10 +90,10 @@ def check_measurement(
     if spoilt := tuple(image_defects(phasor, wall.frequencies_hz)):
         return Plausibility(spoilt, None)
     findings = _amplitudes_and_conventions(phasor, wall, free_offsets=free_offsets)
-    if known_shift_m and any(finding.refused for finding in findings):
+    if known_shift_m and any(finding.code == "convention" for finding in findings):
         seen = locate_wall(phasor, wall, direct=reference)
         if seen is not None and found(seen) and seen.mean_shift_m <= known_shift_m:
-            # Other distances look like other frequencies.
+            # Phases of a wall at half the distance look halved; this one is where the run has seen walls.
             findings = _amplitudes_and_conventions(phasor, wall, free_offsets=free_offsets, scaled=False)
     if any(finding.refused for finding in findings):
         return Plausibility(findings, None)

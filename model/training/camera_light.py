@@ -12,10 +12,11 @@ from itof import read_image
 from itof.arrays import Phasors
 from itof.sensor.binned import BinnedCamera
 from itof.sensor.scene_camera import hidden_snr
-from itof.sensor.settings import SensorSettings
+from itof.sensor.settings import MOST_FRAMES, SensorSettings
 from scenegen import MEASUREMENT_FILE, Dataset
 
 _SCENES: Final = 8
+_NOTHING: Final = 1e-9  # of hidden light over noise
 # With 1.9, `night-80x60-camera` has 2.6 cm instead of 2.0 (docs/guide/cameras.md, How long to expose).
 _ENOUGH: Final = 2.0
 # With 3 %, a network that knows no camera has twice its error, with four times that it sees little (the same
@@ -42,8 +43,10 @@ class CameraLight:
         """What it means for a network, as text without a full stop."""
         noise = "has no noise" if self.snr == inf else f"leaves {self.snr:.2g} of hidden light / noise"
         if self.snr < _ENOUGH:
-            count = ceil((_ENOUGH / self.snr) ** 2)
-            noise += f", too little for a good image: average {count} exposures ({count} times the frames)"
+            noise += ", too little for a good image"
+            count = (_ENOUGH / max(self.snr, _NOTHING)) ** 2
+            if count <= MOST_FRAMES:
+                noise += f": average {ceil(count)} exposures ({ceil(count)} times the frames)"
         waves = f"its waves change {100 * self.changed:.2g} % of the hidden light"
         if self.changed > _MUCH:
             waves += ", much for a network: calibrate them (wiggling_left), or take more phase_steps"

@@ -39,4 +39,5 @@ def test_the_exposures_that_are_asked_for_make_the_light_twice_the_noise():
         < 2 * np.sqrt(count / (count - 1))
     )
     assert "average" not in CameraLight(2.1, 0.0).sentence
+    assert "too little for a good image;" in CameraLight(0.0, 0.0).sentence
     assert "much for a network: calibrate them" in CameraLight(2.1, 0.3).sentence
