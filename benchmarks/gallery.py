@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from itof import DepthMap
 from itof.metrics import ImageMetrics, image_metrics
 from itof.pictures.figures import BACKGROUND, depth_range, write_figure
-from model.data.corner import wall_view
 from model.data.feed import Feed
 from model.data.shards import open_shards
+from model.judging.judged_split import seeing
 from model.prediction.expected_error import probabilities
 from model.prediction.predictor import BATCH, load
 from scenegen import open_dataset
@@ -88,7 +88,7 @@ def predicted(run: str, folder: Path) -> list[Shown]:
     """All test scenes of a dataset with their predictions, in the order of the dataset."""
     dataset, predictor = open_dataset(folder), load(run)
     shards = open_shards(dataset)
-    predictor = predictor.at(wall_view(dataset))
+    predictor = seeing(predictor, dataset, shards)
     places = predictor.config.inputs.places(shards.manifest.frequencies_hz)
     shown = []
     for block in Feed(shards, shards.rows("test"), window_rows=0).in_order(BATCH):

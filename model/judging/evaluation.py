@@ -10,8 +10,7 @@ from typing import Any
 
 from disk import PathLike, sha256_of, whole_folder
 from disk.extras import need
-from model.data.corner import wall_view
-from model.judging.judged_split import open_split
+from model.judging.judged_split import open_split, seeing
 from model.judging.judging import Bench, judge_split, shown_scenes
 from model.judging.refusals import (
     EvaluationError,
@@ -107,7 +106,7 @@ def evaluate(
         readout = replace(readout, mask_from=mask_from)
     if mask_threshold is not None:
         readout = replace(readout, mask_threshold=mask_threshold)
-    bench = Bench(predictor.at(wall_view(dataset)), readout, dataset, shards, progress)
+    bench = Bench(seeing(predictor, dataset, shards), readout, dataset, shards, progress)
     with whole_folder(out) as folder:
         clouds = folder / "pointclouds"
         clouds.mkdir()

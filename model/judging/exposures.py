@@ -17,7 +17,6 @@ from itof.metrics import ImageMetrics, Summary, image_metrics, no_object_metrics
 from itof.sensor.imperfections import cameras_by_imperfection
 from itof.sensor.scene_camera import MeasuredScene, SceneCamera
 from itof.sensor.settings import MOST_FRAMES, SensorSettings
-from model.data.corner import wall_view
 from model.data.rows import RowBlock
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
@@ -28,7 +27,7 @@ from model.judging.exposure_results import (
     files_of_exposures,
     write_exposure_figure,
 )
-from model.judging.judged_split import open_split
+from model.judging.judged_split import open_split, seeing
 from model.judging.refusals import EvaluationError
 from model.network.channels import ChannelError
 from model.prediction.predictor import Predictor, load
@@ -103,7 +102,7 @@ def judge_exposures(
     problem = view_problem(sensor, dataset.preset, dataset.root, *size, frequencies_hz)
     if problem:
         raise EvaluationError(problem)
-    work = _Work(predictor.at(wall_view(dataset)), dataset, shards, rows)
+    work = _Work(seeing(predictor, dataset, shards), dataset, shards, rows)
     named = _cameras(sensor, exposures, each_imperfection)
     cameras = [(name, work.camera(settings, corner_exposures * sensor.frames)) for name, settings in named]
     with whole_folder(out) as folder:

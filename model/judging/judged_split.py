@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
 from model.judging.other_corner import refuse_other_corner
 from model.judging.refusals import (
@@ -13,8 +14,15 @@ from model.judging.refusals import (
     refuse_missing_split,
     refuse_other_images,
 )
+from model.prediction.predictor import Predictor
 from model.run_folder.run_config import RunConfig
 from scenegen import Dataset, Split
+
+
+def seeing(predictor: Predictor, dataset: Dataset, shards: Shards) -> Predictor:
+    """The network with the size of the images, and the camera and the wall, of a dataset."""
+    size = shards.manifest.width, shards.manifest.height
+    return predictor.for_size(*size).at(wall_view(dataset))
 
 
 def open_split(

@@ -104,7 +104,7 @@ def refuse_other_images(trained: RunConfig, shards: Shards, run: Path, dataset: 
     """Refuse images of another size, or without a frequency, than those of the training."""
     given = shards.manifest
     todo = what_to_do(Wanted(given.width, given.height, given.frequencies_hz))
-    if (trained.image_width, trained.image_height) != (given.width, given.height):
+    if not trained.reads(given.width, given.height):
         raise EvaluationError(
             f"wrong resolution between stages: {run} was trained on {trained.image_width}x"
             f"{trained.image_height} pixels, {dataset.root} is rendered at {given.width}x{given.height}; "

@@ -19,6 +19,7 @@ from itof.frequency_images import Slopes
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
 from itof.wall.turned_reference import brightness_of_wall
+from itof.wall.turned_view import turned_rays
 from itof.wall.wall_fit import WallFit
 from model.settings.input import Channels, Reference
 
@@ -47,6 +48,9 @@ class InputSpec:
     network knows the corner, which may be another one in every image. The residual channels are 0 in pixels
     that show something else than the wall, or its edge, because the camera of some corners sees the middle
     wall.
+
+    ``turned-residual+wall``: the same for a network that sees another view of them: three more channels are
+    the rays of the pixels in the axes of that view (`itof.wall.turned_view`).
 
     Attributes
     ----------
@@ -114,6 +118,11 @@ class InputSpec:
         return "wall" in self.channels
 
     @property
+    def is_turned(self) -> bool:
+        """Whether the network carries the images to the view of a camera that is turned to the wall."""
+        return self.channels.startswith("turned")
+
+    @property
     def self_calibrates(self) -> bool:
         """Whether `reference_for` moves the direct return to the wall that each image shows."""
         return self.uses_residual and self.reference in ("self", "self+wiggling")
@@ -125,7 +134,7 @@ class InputSpec:
 
     @property
     def channel_count(self) -> int:
-        """C, the number of input channels."""
+        """C, the number of input channels, without the rays of the pixels."""
         paper = self._paper_count if "paper" in self.channels else 0
         return paper + len(self.residual_scale) + self.shows_wall
 
@@ -137,7 +146,7 @@ class InputSpec:
     @property
     def reference_count(self) -> int:
         """Values of a pixel in a reference of `reference_for`; 0 if `apply` needs none."""
-        return len(self.frequencies_hz) + self.shows_wall if self.uses_residual else 0
+        return len(self.frequencies_hz) + self.shows_wall + self.is_turned if self.uses_residual else 0
 
     @property
     def _paper_count(self) -> int:
@@ -171,11 +180,13 @@ class InputSpec:
 
         The direct return of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall
         and phases that each image shows (`itof.wall.self_calibration`), (..., H, W, F). With the channel of
-        the wall its inverse distance, 1/m, follows, (..., H, W, F + 1).
+        the wall its inverse distance, 1/m, follows, (..., H, W, F + 1). For a turned network, the imaginary
+        part of that is the forward part of the pixel's ray in the axes of its view, and one more value has
+        its parts to the right (real) and down (imaginary), (..., H, W, F + 2).
 
         Parameters
         ----------
-        is_weighted : it has the weights that the amplitudes of the phasors give it, (..., H, W, F or F + 1),
+        is_weighted : it has the weights that the amplitudes of the phasors give it, (..., H, W, F to F + 2),
             for `apply` with ``is_weighted``. Noise of relative size σ in the amplitudes changes its phase by
             less than σ / 40 (`itof.weighted_reference`).
         """
@@ -189,8 +200,12 @@ class InputSpec:
         if not self.shows_wall:
             return direct
         xp = array_namespace(direct)
-        inverse = fit.inverse_distance_per_m(wall)
-        return xp.concat([direct, xp.astype(inverse, direct.dtype)[..., None]], axis=-1)
+        inverse = xp.astype(fit.inverse_distance_per_m(wall), direct.dtype)
+        rest = [inverse]
+        if self.is_turned:
+            right, down, forward = xp.unstack(turned_rays(fit.plane_per_m, wall.rays_by_axis), axis=-3)
+            rest = [inverse + 1j * forward, right + 1j * down]
+        return xp.concat([direct, xp.astype(xp.stack(rest, axis=-1), direct.dtype)], axis=-1)
 
     def reference_of_image(self, phasor: Any, wall: ExpectedWall) -> Any:
         """`reference_for` with the weights of the amplitudes, if the run has them."""
@@ -202,7 +217,7 @@ class InputSpec:
         return reference[..., :count], reference[..., count:]
 
     def apply(self, phasor: Any, reference: Any = None, *, is_weighted: bool = False) -> Any:
-        """Input channels (..., C, H, W) of phasors (..., H, W, F).
+        """Input channels (..., C, H, W) of phasors (..., H, W, F); for a turned network, 3 more: its rays.
 
         Parameters
         ----------
@@ -226,13 +241,16 @@ class InputSpec:
         if self.uses_residual:
             if reference is None:
                 raise ValueError(f"channels {self.channels} need the relay wall's direct return as reference")
-            direct, inverse = self.parted(reference)
+            direct, rest = self.parted(reference)
             weights = "uniform" if is_weighted else self.subpixel_weights
             residual = residual_channels(z, direct, weights, wall_alone=self.wall_alone)
             scale = xp.asarray(self.residual_scale, dtype=xp.float32, device=device(z))
             parts.append(residual / scale[:, None, None])  # (2F - 1, 1, 1)
             if self.wall_scale_per_m:
                 mean, spread = self.wall_scale_per_m
-                wall = xp.astype((xp.real(inverse) - mean) / spread, xp.float32)  # (..., H, W, 1)
-                parts.append(xp.moveaxis(wall, -1, -3))
+                wall = xp.astype((xp.real(rest[..., 0]) - mean) / spread, xp.float32)  # (..., H, W)
+                parts.append(wall[..., None, :, :])
+            if self.is_turned:
+                ray = [xp.real(rest[..., 1]), xp.imag(rest[..., 1]), xp.imag(rest[..., 0])]
+                parts.append(xp.astype(xp.stack(ray, axis=-3), xp.float32))
         return xp.concat(parts, axis=-3)

@@ -49,10 +49,12 @@ def _rendered_fov_deg(file: Path) -> float | None:
 
 
 def predictors_of(predictor: Predictor, measured: Measurement) -> Callable[[int], Predictor]:
-    """The network with the field of view of the image of an index.
+    """The network with the size of the images, and with the field of view of the image of an index.
 
     Only the last one is kept: each has its wall's light, which is larger than the image.
     """
+    height, width = measured.phasors.shape[1:3]
+    predictor = predictor.for_size(width, height)
     views_deg, geometry = measured.fields_of_view_deg, predictor.config.geometry
 
     @lru_cache(maxsize=1)

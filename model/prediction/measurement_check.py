@@ -67,7 +67,7 @@ def fitting_measurement(
         if max(whole.frequencies_hz) < FREQUENCY.least:
             raise  # in another unit
         raise MeasurementError(f"{error}; {what_to_do(wanted)}") from None
-    if (wanted.width, wanted.height) != (config.image_width, config.image_height):
+    if not config.reads(wanted.width, wanted.height):
         raise MeasurementError(
             f"{file} holds images of {wanted.width}x{wanted.height} pixels, {run} was trained on "
             f"{config.image_width}x{config.image_height}: scale the images; {what_to_do(wanted)}"

@@ -18,6 +18,8 @@ from pydantic import TypeAdapter
 
 from disk import NightError, PathLike, whole_file
 from disk.extras import need
+from itof import pixel_rays
+from itof.wall.turned_view import turned_rays
 from model.device import plain_memory_errors
 from model.network.unet import UNet
 from model.prediction.predictor import load
@@ -123,11 +125,11 @@ def _onnx_model(network: UNet, config: RunConfig) -> Any:
     import onnx
 
     # The exporter would treat N = 1 as a fixed size, so the example has two images.
-    shape = (2, config.inputs.channel_count, config.image_height, config.image_width)
+    example = _smooth_channels(2, config, torch.Generator())
     with _quiet():
         program = torch.onnx.export(
             network,
-            (torch.zeros(shape),),
+            (example,),
             input_names=[INPUT],
             output_names=[output_name(config.settings)],
             dynamic_shapes=({0: torch.export.Dim("N", min=1)},),
@@ -173,11 +175,17 @@ def _compare(file: Path, network: UNet, config: RunConfig) -> OnnxCheck:
 
 
 def _smooth_channels(count: int, config: RunConfig, generator: torch.Generator) -> torch.Tensor:
-    """(count, C, H, W) random fields, interpolated between values COARSE pixels apart."""
+    """(count, C, H, W) random fields, interpolated between values COARSE pixels apart; rays where needed."""
     size = (config.image_height, config.image_width)
     coarse = [2 + pixels // COARSE for pixels in size]  # with a value at both borders
     values = torch.randn(count, config.inputs.channel_count, *coarse, generator=generator)
-    return torch.nn.functional.interpolate(values, size=size, mode="bilinear", align_corners=True)
+    fields = torch.nn.functional.interpolate(values, size=size, mode="bilinear", align_corners=True)
+    if not config.inputs.is_turned:
+        return fields
+    view = config.geometry
+    rays = np.moveaxis(pixel_rays(*size[::-1], view.horizontal_fov_deg), -1, 0)
+    seen = torch.from_numpy(turned_rays(view.plane_per_m, rays)).to(fields.dtype)
+    return torch.cat([fields, seen.expand(count, -1, -1, -1)], dim=1)
 
 
 @torch.no_grad()

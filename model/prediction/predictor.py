@@ -86,6 +86,12 @@ class Predictor:
         """The same network at another corner, whose wall is expected where `corner` says."""
         return replace(self, config=replace(self.config, geometry=corner))
 
+    def for_size(self, width: int, height: int) -> Predictor:
+        """The same network for images of so many pixels, if it `reads` them; else this one."""
+        if not self.config.reads(width, height):
+            return self
+        return replace(self, config=replace(self.config, image_width=width, image_height=height))
+
     def expected_mae_m(self, prediction: DepthMap) -> float | None:
         """MAE over all pixels that the network expects of its depth map (H, W), metres.
 
@@ -106,7 +112,7 @@ class Predictor:
         Parameters
         ----------
         phasors : (H, W, F) or (N, H, W, F) complex at the frequencies `config.inputs.frequencies_hz`, in this
-            order. H and W are those of the training.
+            order. H and W are those of the training, or of `for_size`.
         reference : (H, W, F) complex measurement of the empty corner, up to a real factor, which may tell
             where the wall is (`itof.wall.empty_corner.captured_wall`); None for the computed return. A run
             with the setting ``reference = "capture"`` needs it.
@@ -157,8 +163,8 @@ class Predictor:
             raise InputError(f"expected phasors of shape (H, W, F) or (N, H, W, F), got {z.shape}")
         if z.shape[-3:] != self._image_shape or not z.size:
             raise InputError(
-                f"expected phasors of shape {self._image_shape} (H, W, F), as in the training, "
-                f"or several such images, got {z.shape}"
+                f"expected phasors of shape {self._image_shape} (H, W, F), or several such images, got "
+                f"{z.shape}" + (" (for_size reads other sizes)" if self.config.inputs.is_turned else "")
             )
         _refuse_not_phasors(z, "the measurement")
 

@@ -21,9 +21,9 @@ from itof import DepthMap
 from itof.metrics import ImageMetrics, image_metrics
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.wall_view import WallView
-from model.data.corner import wall_view
 from model.data.shards import Shards, open_shards
 from model.device import one_thread
+from model.judging.judged_split import seeing
 from model.judging.judging import Bench
 from model.judging.refusals import EvaluationError
 from model.prediction.predictor import Predictor, load
@@ -159,8 +159,9 @@ class Job:
             raise EvaluationError(
                 f"the weights of {self.run} have changed: refine again when its training ends"
             )
-        view = wall_view(dataset)
-        bench = Bench(predictor.at(view), predictor.config.readout, dataset, shards, progress=False)
+        bench = Bench(
+            seeing(predictor, dataset, shards), predictor.config.readout, dataset, shards, progress=False
+        )
         light = CornerLight(predictor.config.inputs.frequencies_hz, self.device)
         return Work(bench, light, self.family, self.recipe, self.out)
 

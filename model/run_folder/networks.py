@@ -61,6 +61,7 @@ class Network:
     width, height : of its images, pixels.
     fields_of_view_deg : smallest and largest horizontal field of view of its training.
     wall_shift_m : how far from its expected wall it knows walls, mean along the rays, metres; 0: one corner.
+    any_size : whether it also reads images of other sizes.
     needs_capture : whether it needs a capture of the empty corner.
     is_of_camera : whether a modelled camera measured its training scenes.
     noise : of its training scenes, relative to the amplitude; the largest.
@@ -73,6 +74,7 @@ class Network:
     frequencies_hz: tuple[float, ...]
     fields_of_view_deg: tuple[float, float]
     wall_shift_m: float
+    any_size: bool
     needs_capture: bool
     is_of_camera: bool
     noise: float
@@ -100,6 +102,7 @@ class Network:
             frequencies_hz=config.inputs.frequencies_hz,
             fields_of_view_deg=config.trained_views_deg,
             wall_shift_m=config.inputs.largest_shift_m,
+            any_size=config.inputs.is_turned,
             needs_capture=config.inputs.needs_capture,
             is_of_camera=augmentation.camera is not None,
             noise=max(augmentation.noise_sigma, augmentation.largest_noise_sigma),
@@ -132,7 +135,7 @@ def table(found: Sequence[Network]) -> str:
 def _cells(network: Network) -> Iterator[str]:
     least_deg, most_deg = network.fields_of_view_deg
     yield network.name
-    yield f"{network.width}x{network.height}"
+    yield "any" if network.any_size else f"{network.width}x{network.height}"
     yield megahertz(*network.frequencies_hz).removesuffix(" MHz")
     yield f"{least_deg:.4g} deg" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g} deg"
     place = f"within {length(network.wall_shift_m)}" if network.wall_shift_m else "in one place"
@@ -195,9 +198,9 @@ def _shipped() -> tuple[tuple[str, RunConfig], ...]:
 def _fits(config: RunConfig, wanted: Wanted) -> bool:
     measured, needed = np.array(wanted.frequencies_hz), np.array(config.inputs.frequencies_hz)
     has_all = np.isclose(needed[:, None], measured, rtol=SAME_FREQUENCY, atol=0).any(1).all()
-    same_size = (config.image_width, config.image_height) == (wanted.width, wanted.height)
+    reads_size = config.reads(wanted.width, wanted.height)
     known_m = config.inputs.largest_shift_m + CALIBRATED_REFUSED_M
-    return bool(same_size and has_all) and all(
+    return bool(reads_size and has_all) and all(
         (view.horizontal_fov_deg is None or seen_view(config, view.horizontal_fov_deg))
         and wall_shift_m(config.geometry, view) < known_m
         for view in wanted.views

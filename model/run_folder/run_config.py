@@ -126,6 +126,10 @@ class RunConfig:
         one_deg = self.geometry.horizontal_fov_deg
         return self.fields_of_view_deg or (one_deg, one_deg)
 
+    def reads(self, width: int, height: int) -> bool:
+        """Whether the network can see images of so many pixels."""
+        return self.inputs.is_turned or (width, height) == (self.image_width, self.image_height)
+
     @property
     def readout(self) -> Readout:
         """Reads mask and depth from the output of this run's network."""
@@ -172,6 +176,7 @@ class RunConfig:
             block=sizes.block,
             uncertainty=self.settings.predicts_uncertainty,
             images=images,
+            turned=self.inputs.is_turned,
             generator=generator,
         )
 

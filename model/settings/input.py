@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -10,8 +10,9 @@ from pydantic.dataclasses import dataclass
 from disk.contract import DOCUMENTED
 from disk.quantities import Frequency
 
-Channels = Literal["paper", "residual", "paper+residual", "residual+wall"]
+Channels = Literal["paper", "residual", "paper+residual", "residual+wall", "turned-residual+wall"]
 AmplitudeDivisor = Literal["mean", "maximum"]
+TURNED_WIDTH: Final = 40  # pixels of the view to which images are turned, in which the network sees them
 Reference = Literal["geometry", "capture", "self", "self+wiggling"]
 
 
@@ -66,11 +67,21 @@ class WallChannels:
 
 
 @dataclass(frozen=True, config=DOCUMENTED)
+class TurnedChannels:
+    """The channels residual+wall in the view of a camera that is turned to the wall. For many corners."""
+
+    kind: Literal["turned-residual+wall"] = "turned-residual+wall"
+    """Images of any size and field of view become one view, in which most corners look alike."""
+    reference: Literal["self", "self+wiggling"] = "self"
+    """As for the channels residual+wall."""
+
+
+@dataclass(frozen=True, config=DOCUMENTED)
 class InputSettings:
     """What the network sees."""
 
     channels: Annotated[
-        PaperChannels | ResidualChannels | PaperAndResidualChannels | WallChannels,
+        PaperChannels | ResidualChannels | PaperAndResidualChannels | WallChannels | TurnedChannels,
         Field(discriminator="kind"),
     ] = ResidualChannels()
     """Set of input channels."""

@@ -26,6 +26,7 @@ from model.data.scene_walls import SceneWalls
 from model.data.sensor_draws import view_problem
 from model.data.shards import open_shards
 from model.judging.evaluation import evaluate
+from model.prediction.onnx_export import export_onnx
 from model.prediction.prediction_files import PREDICTION_SCHEMA, predict_file
 from model.prediction.predictor import InputError, load
 from model.run_folder.run_config import read_config
@@ -177,6 +178,29 @@ def test_a_network_learns_resumes_and_is_judged_on_many_views(views, run, tmp_pa
     one = predictor.at(predictor.config.geometry.with_fov(fields_of_view_deg[0]))
     alone = one.predict(block.phasors[0])
     np.testing.assert_allclose(found[0].radial_depth_m, alone.radial_depth_m, rtol=1e-5)
+
+
+def test_a_turned_network_reads_images_of_any_size(views, tmp_path):
+    """It learns and resumes as others do; images of other cameras, with more pixels, are judged."""
+    turned = SHOWN | {"channels": "turned-residual+wall", "max_epochs": 2}
+    run = train_on_one_thread(views, tmp_path / "run", **turned)
+    train(views, tmp_path / "parts", settings(**turned | {"max_epochs": 1}))
+    train(views, tmp_path / "parts", settings(**turned), resume=True)
+    assert_same_end(tmp_path / "parts", run)
+    large = write_synthetic_dataset(tmp_path / "large", count=8, width=96, height=60, camera_spread=SPREAD)
+    report = evaluate(run, large, tmp_path / "report", device="cpu", progress=False)
+    rows = open_shards(large).rows("test")
+    z, views_deg = (open_shards(large).read(rows).phasors, open_shards(large).fields_of_view_deg(rows))
+    predictor = load(run, "cpu")
+    with pytest.raises(InputError, match="for_size reads other sizes"):
+        predictor.predict(z, fields_of_view_deg=views_deg)
+    found = predictor.for_size(96, 60).predict(z, fields_of_view_deg=views_deg)
+    assert found.mask.shape[1:] == (60, 96)
+    judged_m = [scene.prediction.depth_mae_m for scene in report.scenes]
+    truth_m = open_shards(large).read(rows).radial_depth_m
+    np.testing.assert_allclose(np.abs(found.radial_depth_m - truth_m).mean((1, 2)), judged_m, rtol=1e-5)
+    check = export_onnx(run, tmp_path / "net.onnx")
+    assert check.largest_difference <= check.tolerance
 
 
 def test_images_and_fields_of_view_must_go_together(views, run):
