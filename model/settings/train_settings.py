@@ -77,7 +77,7 @@ class OptimiserSettings:
     clip_norm: NotNegative = 1.0
     """Largest norm of the gradient; a longer one is scaled down to it. 0: no limit."""
     ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.99
-    """Decay per step of the average of the weights that is validated and kept; 0: no average."""
+    """Decay per step of the average of the weights that is validated and kept, shorter at first; 0: none."""
 
 
 @dataclass(frozen=True, config=DOCUMENTED)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import cos, pi
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import torch
 from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 
 from model.device import number_type
 from model.network.unet import UNet
@@ -25,6 +25,9 @@ from model.training.checkpoint_contents import (
     checked_whole,
 )
 from model.training.muon import Muon
+
+
+_FORGOTTEN: Final = 10
 
 
 def learning_rate(settings: OptimiserSettings, step: int, steps_per_epoch: int, max_epochs: int) -> float:
@@ -62,6 +65,22 @@ def epochs_without_improvement(losses: Sequence[float], min_delta: float) -> int
     return since
 
 
+def averaging(decay: float) -> Callable[[Sequence[Tensor], Sequence[Tensor], Tensor | int], None]:
+    """Update of averages by new weights, after a number of updates, in place.
+
+    The new weights count as 1 - decay, or as much as the mean of the last tenth of all steps would let them:
+    else the random weights of the beginning would stay for thousands of steps.
+
+    Source: TensorFlow's tf.train.ExponentialMovingAverage with num_updates.
+    """
+
+    def update(averages: Sequence[Tensor], weights: Sequence[Tensor], count: Tensor | int) -> None:
+        share = max(1 - decay, (_FORGOTTEN - 1) / (_FORGOTTEN + int(count)))
+        torch._foreach_lerp_(averages, weights, share)  # type: ignore[call-overload]
+
+    return torch.no_grad()(update)
+
+
 class Optimisation:
     """Updates the weights of a network with Adam, or with Muon and Adam, according to the settings.
 
@@ -86,7 +105,7 @@ class Optimisation:
         # Half floats round gradients below 6e-8 to 0, so the loss is scaled up first.
         self.scaler = torch.amp.GradScaler(device.type, enabled=numbers == torch.float16)
         decay = self.settings.ema_decay
-        self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(decay)) if decay else None
+        self.average = AveragedModel(network, multi_avg_fn=averaging(decay)) if decay else None
         self.steps = 0
         self.gradient_norm = torch.zeros(())
 
