@@ -182,7 +182,8 @@ def _train_for(
         elif start_from is None:
             nearest = nearest_network(preset, has_sensor=has_sensor)
             start_from, why = nearest.run, nearest.why
-            inherited = {"network": {"block": nearest.block}} if start_from else {}
+            frequencies = {"frequencies_hz": list(nearest.frequencies_hz)}
+            inherited = {"network": {"block": nearest.block}, "input": frequencies} if start_from else {}
         if start_from is not None:
             inherited = merged(model.fine_tuning_settings(start_from), inherited)
     settings = _settings(before, inherited, *chosen)

@@ -36,11 +36,10 @@ def configure(
     manifest, rows, chosen = shards.manifest, rows_of(shards, "train", settings), settings.input
     output_hz = before.output_frequency_hz if before else output_frequency_hz(dataset, settings, fresh)
     try:
-        if before:
-            inputs = before.inputs
-        elif start:
-            inputs = start.inputs(dataset, output_hz)
-            if inputs.shows_wall:
+        known = before.inputs if before else start.inputs(dataset, output_hz) if start else None
+        if known:
+            inputs = known
+            if inputs.shows_wall and not before:
                 if settings.run.progress:
                     _log.info("fitting the wall of the training scenes")
                 shift_m = largest_shift_m(inputs, shards, rows, wall_view(dataset))

@@ -18,7 +18,7 @@ from model.run_folder.weights import WEIGHTS_FILE, trained_network
 from model.settings.target import MaskAndDepthTarget
 from model.settings.train_settings import TrainSettings, flat_settings
 from model.training.checkpoint import CHECKPOINT_FILE
-from model.training.other_pixels import with_other_pixels
+from model.training.other_images import with_other_frequencies, with_other_pixels
 from scenegen import Dataset
 
 
@@ -29,16 +29,21 @@ class Start:
     Attributes
     ----------
     config : contents of its ``run.json``.
-    weights : its best weights, on the CPU, without the images of its corner, for the block of the settings.
+    weights : its best weights, on the CPU, without the images of its corner, for the block and the
+        frequencies of the settings.
     origin : what the new run records about it.
+    same_frequencies : whether the settings have those of the network.
     """
 
     config: RunConfig
     weights: dict[str, Tensor]
     origin: StartingWeights
+    same_frequencies: bool = True
 
-    def inputs(self, dataset: Dataset, output_hz: float) -> InputSpec:
+    def inputs(self, dataset: Dataset, output_hz: float) -> InputSpec | None:
         """The input channels with the constants of the trained network, whose weights expect them.
+
+        None at other frequencies, for which the training scenes give new constants.
 
         Parameters
         ----------
@@ -49,6 +54,8 @@ class Start:
         RunError : the network predicts at another frequency.
         ChannelError : the dataset lacks a frequency of the network.
         """
+        if not self.same_frequencies:
+            return None
         self.config.inputs.places(dataset.preset.itof.frequencies_hz)
         ours = self.config.output_frequency_hz
         if ours != output_hz:
@@ -76,11 +83,14 @@ def read_start(run: Path, settings: TrainSettings) -> Start:
         }
         if settings.predicts_uncertainty and not config.settings.predicts_uncertainty:
             weights |= _new_head(config, settings)
-        block = config.settings.network.block
+        block, own_hz = config.settings.network.block, config.inputs.frequencies_hz
+        wanted_hz = settings.input.frequencies_hz or own_hz
+        if wanted_hz != own_hz:
+            weights = with_other_frequencies(weights, config.inputs, wanted_hz, block)
         weights = with_other_pixels(weights, block, settings.network.block)
     name = run.resolve().name[:255]
     origin = StartingWeights(run=name, run_id=config.run_id, sha256=hashlib.sha256(content).hexdigest())
-    return Start(config, weights, origin)
+    return Start(config, weights, origin, wanted_hz == own_hz)
 
 
 def _new_head(config: RunConfig, settings: TrainSettings) -> dict[str, Tensor]:
@@ -98,6 +108,8 @@ def _refuse_other_network(config: RunConfig, settings: TrainSettings, run: Path)
             continue
         theirs, ours = of_run.get(key), wanted.get(key)
         if key == "input.frequencies_hz":
+            if "paper" not in config.inputs.channels:
+                continue  # `with_other_frequencies` makes the weights fit
             theirs = config.inputs.frequencies_hz
             ours = theirs if ours is None else ours
         if key == "target.uncertainty" and ours:

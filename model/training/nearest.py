@@ -24,52 +24,64 @@ class Nearest:
     ----------
     run : run folder of a network; None for new weights.
     block : pixels a side of a position of its U-Net, for the images of the preset; 0 without a network.
+    frequencies_hz : modulation frequencies that it will see, Hz.
     why : the reason, as a sentence without a full stop.
     """
 
     run: Path | None
     block: int
+    frequencies_hz: tuple[float, ...]
     why: str
 
 
 def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
-    """The shipped network that knows the frequencies of a preset, images of its shape, and as many corners.
+    """The shipped network for images of the shape of a preset's, and for as many corners.
 
     Of several, it is one that was trained for a camera, if this one is (`has_sensor`): others see nothing
-    behind one; one of the size of the images, or of the nearest whole part or multiple of it
-    (`model.training.other_pixels`); and the one with the smallest error.
+    behind one; one that knows the frequencies, else all may be others (`model.training.other_images`); one
+    of the size of the images, or of the nearest whole part or multiple of it; and the one with the smallest
+    error.
     """
     camera, hz = preset.camera, preset.itof.frequencies_hz
     size, corner = f"{camera.width}x{camera.height} pixels", preset.is_one_corner
     found = {name: read_config(run) for name, run in shipped_runs().items()}
-    at_these = {n: each for n, each in found.items() if _has_frequencies(each, preset)}
-    of_size = {n: each for n, each in at_these.items() if _block(each, preset)}
+    of_size = {n: each for n, each in found.items() if _block(each, preset)}
     fitting = {n: each for n, each in of_size.items() if each.inputs.shows_wall != corner}
+    fitting = {n: each for n, each in fitting.items() if _knows(each, preset) or _is_at_others(each, preset)}
     if not fitting:
-        lack = megahertz(*hz) if not at_these else size if not of_size else "many corners"
-        return Nearest(None, 0, f"the training starts from new weights: no network of NIGHT is for {lack}")
+        lack = size if not of_size else "such depths and corners"
+        return Nearest(
+            None, 0, hz, f"the training starts from new weights: no network of NIGHT is for {lack}"
+        )
 
-    def rank(name: str) -> tuple[bool, float, bool, float]:
+    def rank(name: str) -> tuple[bool, bool, float, bool, float]:
         network = Network.of(shipped_runs()[name], fitting[name])
         error_cm, is_other = network.validation_mae_cm or inf, network.is_of_camera != has_sensor
         other_size = abs(log(camera.width / fitting[name].image_width))
-        return has_sensor and is_other, other_size, is_other, error_cm
+        return has_sensor and is_other, not _knows(fitting[name], preset), other_size, is_other, error_cm
 
     name = min(fitting, key=rank)
-    block = _block(fitting[name], preset)
+    config, knows = fitting[name], _knows(fitting[name], preset)
     corners = "one corner" if corner else "many corners"
-    own = f"{fitting[name].image_width}x{fitting[name].image_height} pixels"
-    part = "a whole part" if fitting[name].image_width < camera.width else "a multiple"
+    own = f"{config.image_width}x{config.image_height} pixels"
+    part = "a whole part" if config.image_width < camera.width else "a multiple"
     where = f"images of {own}" + ("" if own == size else f", {part} of {size}")
-    why = f"the training starts from {name}, which is for {corners}, {megahertz(*hz)} and {where}"
-    return Nearest(shipped_runs()[name], block, why)
+    own_hz = config.inputs.frequencies_hz
+    why = f"the training starts from {name}, which is for {corners}, {megahertz(*own_hz)} and {where}"
+    why += "" if knows else f"; {megahertz(*hz)} begin with the weights of the nearest of these"
+    return Nearest(shipped_runs()[name], _block(config, preset), own_hz if knows else hz, why)
 
 
-def _has_frequencies(config: RunConfig, preset: Preset) -> bool:
+def _knows(config: RunConfig, preset: Preset) -> bool:
+    """Whether the network can be used at frequencies of a preset, and its depths."""
     hz = preset.itof.frequencies_hz
     return {*config.inputs.frequencies_hz} <= {
         *hz
     } and config.output_frequency_hz == represented_frequency_hz(hz[0], [preset])
+
+
+def _is_at_others(config: RunConfig, preset: Preset) -> bool:
+    return set(config.inputs.frequencies_hz) != set(preset.itof.frequencies_hz)
 
 
 def _block(config: RunConfig, preset: Preset) -> int:

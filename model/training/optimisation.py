@@ -26,7 +26,6 @@ from model.training.checkpoint_contents import (
 )
 from model.training.muon import Muon
 
-
 _FORGOTTEN: Final = 10
 
 

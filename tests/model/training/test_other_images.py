@@ -1,15 +1,17 @@
-"""A network for images with more or fewer pixels than another: the same U-Net on other blocks of pixels."""
+"""A network for other images than another: the same U-Net on other blocks, or at other frequencies."""
 
 import pytest
 import torch
 from synthetic_dataset import write_synthetic_dataset
 from training_runs import FLIP, settings
 
+from model.network.channels import InputSpec
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.training.loop import train
-from model.training.other_pixels import with_other_pixels
+from model.training.other_images import with_other_frequencies, with_other_pixels
+from model.training.refusals import TrainingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 PROBABLE = FLIP | {"target": "mask+depth", "uncertainty": True, "width": 4}
@@ -73,3 +75,54 @@ def test_a_training_begins_with_the_network_of_a_run_with_smaller_blocks(closed_
     assert load(tmp_path / "finer", "cpu").config.settings.network.block == 2
     with pytest.raises(RunError, match=r"block is 3, but .* with 2.* a multiple or a part of 2"):
         train(many, tmp_path / "no", settings(**PROBABLE, block=3), start_from=tmp_path / "finer")
+
+
+KNOWN = ("a 20", "a 50", "a 60", "b 50", "b 60")  # imaginary parts, then real ones less that at 20 MHz
+
+
+@pytest.mark.parametrize(
+    ("mhz", "sources"),
+    [
+        ((20, 60), ["a 20", "a 60", "b 60"]),
+        ((40, 70), ["a 50", "a 60", "b 60"]),
+        ((20, 30, 50, 60), ["a 20", "a 20", "a 50", "a 60", "b 50", "b 50", "b 60"]),
+        ((30,), ["a 20"]),
+    ],
+)
+@pytest.mark.parametrize("block", [1, 2])
+def test_other_frequencies_begin_with_the_weights_of_the_nearest_ones(mhz, sources, block):
+    """A network sees what it saw, where the images of all frequencies that share weights are the same."""
+    options = {"width": 4, "levels": 2, "block": block}
+    network = UNet(6, generator=torch.Generator().manual_seed(0), **options).double()
+    inputs = InputSpec(
+        *("residual+wall", (20e6, 50e6, 60e6), 1.0, (1.0,) * 5, "measured", "self", (1.0, 1.0))
+    )
+    weights = with_other_frequencies(network.state_dict(), inputs, [1e6 * each for each in mhz], block)
+    other = UNet(len(sources) + 1, **options).double()
+    other.load_state_dict(weights)
+    images = torch.randn(2, len(sources) + 1, 8, 12, generator=torch.Generator().manual_seed(1)).double()
+    for place, source in enumerate(sources):
+        images[:, place] = images[:, sources.index(source)]
+    before = torch.zeros(2, 6, 8, 12).double()
+    before[:, 5] = images[:, -1]
+    for place, name in enumerate(KNOWN):
+        if name in sources:
+            before[:, place] = images[:, sources.index(name)]
+    torch.testing.assert_close(other(images), network(before))
+
+
+def test_a_training_at_other_frequencies_begins_with_a_network_and_has_its_own_scales(tmp_path):
+    three, two = ({"itof": {"frequencies_hz": hz}} for hz in ([20e6, 50e6, 60e6], [30e6, 60e6]))
+    known = write_synthetic_dataset(tmp_path / "three", count=6, **three)
+    chosen = {"target": "mask+depth", "channels": "residual", "width": 4, "max_epochs": 1}
+    train(known, tmp_path / "known", settings(**FLIP | chosen))
+    other = write_synthetic_dataset(tmp_path / "two", count=6, **two)
+    still = FLIP | chosen | {"learning_rate": 1e-30, "noise_sigma": 0.0}
+    train(
+        other, tmp_path / "new", settings(**still, frequencies_hz=[30e6, 60e6]), start_from=tmp_path / "known"
+    )
+    config = load(tmp_path / "new", "cpu").config
+    assert config.inputs.frequencies_hz == (30e6, 60e6)
+    assert len(config.inputs.residual_scale) == 3
+    with pytest.raises((RunError, TrainingError), match="50 MHz is not among 30, 60 MHz"):
+        train(other, tmp_path / "no", settings(**FLIP | chosen), start_from=tmp_path / "known")
