@@ -24,7 +24,7 @@ MOST_REFUSED: Final = 20  # images, after which the rest is not checked
 _REFERENCE = "the reference: "
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CaptureCheck(Told):
     """Outcome of `check_capture`.
 

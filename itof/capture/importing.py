@@ -26,7 +26,7 @@ from itof.wall.finding import Finding
 from itof.wall.image_defects import depth_defects, image_defects
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ImportedCapture(Told):
     """Outcome of `import_capture`.
 

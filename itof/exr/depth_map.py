@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from disk.counted import counted
+from disk.frequency_text import megahertz
 from itof.arrays import Bools, Complex, PixelsOf, Reals
 from itof.exr.header import ImageFileError
 from itof.exr.image import Image, phasor_channels, read_image, write_image
@@ -48,6 +50,17 @@ class DepthMap:
         """The depth map of a known object, with its phasor of amplitude 1."""
         phasor = np.where(mask, phasor_of_return(radial_depth_m, frequency_hz), 0.0)
         return cls(radial_depth_m, mask, phasor, frequency_hz)
+
+    def __repr__(self) -> str:
+        *several, height, width = self.mask.shape
+        images = f"{' x '.join(map(str, several))} images of " if several else ""
+        size = f"{images}{width} x {height} pixels"
+        depth_m = self.radial_depth_m[self.mask]
+        at = f", at {depth_m.min():.2f} to {depth_m.max():.2f} m" if depth_m.size else ""
+        return (
+            f"DepthMap of {size}, with its phasor at {megahertz(self.frequency_hz)}\n"
+            f"{counted(depth_m.size, 'pixel')} of an object{at}"
+        )
 
     @property
     def depth(self) -> PixelsOf[Reals]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from disk.counted import counted
 from disk.told import Told
 from itof.wall.check_result import MeasurementCheck, WallSummary
 from itof.wall.empty_corner import CapturedPlane
@@ -85,7 +86,7 @@ def _centimetres(error_m: float) -> str:
     return f"{100 * error_m:.1f} cm" if error_m >= _LEAST_TOLD_M else f"below {100 * _LEAST_TOLD_M:g} cm"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FilePrediction(Told):
     """Outcome of `predict_file`.
 
@@ -101,6 +102,11 @@ class FilePrediction(Told):
     check: MeasurementCheck
     folder: Path
     wall: CapturedPlane | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"FilePrediction of {counted(len(self.images), 'image')} in {self.folder}\n{self.sentences[-1]}"
+        )
 
     @property
     def has_pictures(self) -> bool:

@@ -54,6 +54,17 @@ def test_what_is_read_is_what_was_written(truth, tmp_path):
     assert read_image(file).attributes["scene_id"] == "000007"
 
 
+def test_a_depth_map_is_two_lines_in_a_shell(truth):
+    first, second = repr(truth).split("\n")
+    assert first == "DepthMap of 8 x 5 pixels, with its phasor at 20 MHz"
+    assert second == "16 pixels of an object, at 2.60 to 3.80 m"  # columns 3 to 6 of rows 1 to 4
+    two = DepthMap.of_object(np.zeros((2, 5, 8)), np.zeros((2, 5, 8), dtype=bool), 20e6)
+    assert repr(two).split("\n") == [
+        "DepthMap of 2 images of 8 x 5 pixels, with its phasor at 20 MHz",
+        "0 pixels of an object",
+    ]
+
+
 def test_z_depth_is_measured_along_the_optical_axis(truth):
     cosine = pixel_rays(WIDTH, HEIGHT, FOV_DEG)[..., 2]  # unit rays; the axis is z
     np.testing.assert_allclose(truth.z_depth_m(FOV_DEG), truth.radial_depth_m * cosine, rtol=1e-12)

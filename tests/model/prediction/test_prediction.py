@@ -58,7 +58,9 @@ def test_points_lie_on_the_rays_of_their_pixels_at_the_predicted_depth(
 
 def test_where_no_pixel_shows_an_object_there_is_no_point_cloud(finished_copy, exr, tmp_path):
     blind(finished_copy)
-    (image,) = predict(finished_copy, exr, tmp_path / "out").images
+    prediction = predict(finished_copy, exr, tmp_path / "out")
+    (image,) = prediction.images
+    assert repr(prediction) == f"FilePrediction of 1 image in {tmp_path / 'out'}\n{image.sentence}"
     told, light = image.sentence.split("; ")
     assert told == "image 000000: no pixel shows an object, so it has no point cloud"
     assert light.startswith("0 % of the hidden light is explained, which is ")
