@@ -212,7 +212,10 @@ def _corner_of_capture(name: str, gap_m: float | None) -> tuple[Preset, dict[Sha
 
     if not name.lower().endswith(ENDINGS):
         if gap_m is not None:
-            raise click.UsageError("--gap is for a capture: a preset has middle_wall, so leave it out")
+            raise click.UsageError(
+                f"--gap is for an imported capture ({', '.join(ENDINGS)}): a preset has middle_wall, and raw "
+                f"frames need night-eval capture import {name} --sidecar FILE --out OUT.npz"
+            )
         return None
     by_hand = f"night-eval capture corner {name} --out FILE.toml"
     if gap_m is None:

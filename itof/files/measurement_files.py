@@ -116,7 +116,10 @@ def measurement_of(path: Path, contents: FileContents) -> Measurement:
     for name in ARRAYS[:2]:
         if name not in found:
             there = ", ".join(sorted(contents.names)[:20]) or "nothing"
-            raise MeasurementError(f"{path} has no array {name}; it holds {there}")
+            raise MeasurementError(
+                f"{path} has no array {name}; it holds {there}: if these are raw frames, night-eval capture "
+                f"import {path} --sidecar FILE --out OUT.npz makes a measurement of them"
+            )
     frequencies_hz = _frequencies(path, found["frequencies_hz"])
     count = len(frequencies_hz)
     phasors = _phasors(path, "phasors", found["phasors"], count, "(H, W, F) or (N, H, W, F)", (3, 4))

@@ -220,12 +220,16 @@ def test_a_network_for_a_capture_needs_what_it_does_not_show(tmp_path):
     file = measured(tmp_path, view, returned(view))
     assert "shows neither the middle wall nor the hidden region: give --gap METRES" in refusal(*command, file)
     assert "which must hide the object" in refusal(*command, file, "--gap", "1.5")
-    assert "--gap is for a capture" in refusal(*command, "paper", "--gap", "0.7")
+    assert "--gap is for an imported capture" in refusal(*command, "paper", "--gap", "0.7")
+    np.savez(tmp_path / "raw.npz", raw=np.zeros((4, 6, 8)))
+    for raw in ("raw.npz", "raw.mat"):
+        said = refusal(*command, tmp_path / raw, "--gap", "0.7")
+        assert f"night-eval capture import {tmp_path / raw} --sidecar FILE --out OUT.npz" in said
     unknown = measured(tmp_path, view, returned(view) * np.exp([0.5j, 1.4j, -2.0j]), "unknown.npz")
     said = refusal(*command, unknown, "--gap", "0.7")
     assert "the wall's distance is uncertain by" in said
     assert "night-eval capture corner" in said
-    assert {each.name for each in tmp_path.iterdir()} == {"empty.npz", "unknown.npz"}
+    assert {each.name for each in tmp_path.iterdir()} == {"empty.npz", "unknown.npz", "raw.npz"}
 
 
 @pytest.mark.parametrize("options", [(), ("--force",)])
