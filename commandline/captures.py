@@ -1,4 +1,4 @@
-"""The commands of ``night-eval capture``: import, check, corner and pairs."""
+"""The commands of ``night-eval capture``: import, check, corner, waves and pairs."""
 
 from __future__ import annotations
 
@@ -154,11 +154,10 @@ def corner(
     paper's corner; the file says what it is.
     """
     import render
-    from render.pairs.captured_corner import refuse_taken
+    from disk.own_files import refuse_taken
     from scenegen.corner_check import refuse_impossible_corner
 
-    if out.suffix.lower() != ".toml":
-        raise click.BadParameter(f"{out} must end in .toml", param_hint="--out")
+    _refuse_other_ending(out)
     refuse_taken(out, replacing=replace)
     found = render.captured_corner(inputs, sidecar, **given)
     if found.doubts and not force:
@@ -173,6 +172,49 @@ def corner(
         refuse_impossible_corner(found.preset)
     except PresetError as error:
         raise Refusal(f"{out} needs measures of your corner: as assumed, it cannot be: {error}") from None
+
+
+@capture.command("waves", short_help="A camera file with the waves that walls show.")
+@click.argument("inputs", metavar="WALL...", nargs=-1, required=True, type=FOLDER)
+@click.option(
+    "--sensor",
+    default="mlx75027",
+    show_default=True,
+    metavar="CAMERA",
+    help="Camera with the other settings: a name in data/sensors, or a .toml file beside FILE.",
+)
+@click.option("--out", required=True, type=FOLDER, metavar="FILE", help="Camera file to write, .toml.")
+@click.option(
+    "--fov", "horizontal_fov_deg", type=Number(1, 170), help="Horizontal field of view, if no file says it."
+)
+@click.option("--replace", is_flag=True, help="Replace a FILE that is there.")
+@JSON
+def waves(
+    inputs: tuple[Path, ...],
+    sensor: str,
+    out: Path,
+    horizontal_fov_deg: float | None,
+    replace: bool,
+    as_json: bool,
+) -> None:
+    """Find the harmonics of a camera's waves, which make its phases err periodically.
+
+    WALL are imported captures of a flat wall that fills the image, at several distances, which need not be
+    known. Four are enough if they reach over a period of the error: 1.9 m at 20 MHz with four phase steps.
+    """
+    from disk.own_files import refuse_taken
+    from itof.capture.waves import captured_waves, write_captured_waves
+
+    _refuse_other_ending(out)
+    refuse_taken(out, replacing=replace)
+    found = captured_waves(inputs, sensor, horizontal_fov_deg=horizontal_fov_deg)
+    write_captured_waves(found, out, replacing=replace)
+    tell([*found.sentences, f"camera file: {out}"], {"file": str(out), **found.as_data()}, as_json)
+
+
+def _refuse_other_ending(out: Path) -> None:
+    if out.suffix.lower() != ".toml":
+        raise click.BadParameter(f"{out} must end in .toml", param_hint="--out")
 
 
 @capture.command("pairs", short_help="A dataset of captures and of a mirror's.")

@@ -1,4 +1,4 @@
-"""Output folders that are replaced as a whole: they may hold nothing but what the program wrote there."""
+"""Outputs that are replaced as a whole: folders may hold nothing but what the program wrote there."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from disk.file_hashes import sha256_of
 from disk.night_error import NightError
 from disk.partials import remove_leftovers
+from disk.path_like import PathLike
 
 _NAMED = 3  # files that a refusal names
 
@@ -18,6 +19,18 @@ def hashes_of(folder: Path) -> dict[str, str]:
     """SHA-256 of every file in a folder, by its path within the folder, in order of these paths."""
     files = {file.relative_to(folder).as_posix(): file for file in folder.rglob("*") if file.is_file()}
     return {name: sha256_of(files[name]) for name in sorted(files)}
+
+
+def refuse_taken(out: PathLike, *, replacing: bool) -> None:
+    """Refuse to write a file where there is something, unless that is to be replaced.
+
+    Raises
+    ------
+    NightError : there is something at `out`.
+    """
+    path = Path(out)
+    if (path.exists() or path.is_symlink()) and not replacing:
+        raise NightError(f"{path} exists already: give another name to --out, or --replace")
 
 
 def refuse_other_files(

@@ -14,7 +14,6 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final, Literal
 
@@ -22,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from disk import NightError, PathLike, write_text
+from disk.own_files import refuse_taken
 from disk.quantities import Vector
 from itof.arrays import Floats
 from itof.capture.capture import ImageShape
@@ -49,7 +49,7 @@ _BEHIND_CAMERA_M: Final = 1.0  # how far the middle wall reaches beyond the came
 
 
 class CapturedCornerError(NightError):
-    """A capture that shows no wall, or a file that is there already."""
+    """A capture that shows no wall."""
 
 
 @dataclass(frozen=True)
@@ -197,17 +197,10 @@ def write_captured_corner(corner: CapturedCorner, out: PathLike, *, replacing: b
 
     Raises
     ------
-    CapturedCornerError : there is something at `out`, and it is not to be replaced.
+    NightError : there is something at `out`, and it is not to be replaced.
     """
     refuse_taken(out, replacing=replacing)
     write_text(out, corner.toml)
-
-
-def refuse_taken(out: PathLike, *, replacing: bool) -> None:
-    """Refuse a place with another file than the preset, unless that is to be replaced."""
-    path = Path(out)
-    if (path.exists() or path.is_symlink()) and not replacing:
-        raise CapturedCornerError(f"{path} exists already: give another name to --out, or --replace")
 
 
 def _checked(images: CapturedImages, source: str) -> ImageCheck:

@@ -36,7 +36,7 @@ WINGS = {
     "itof.sensor": {"itof"},
     "itof.wall": {"itof"},
     "itof.pictures": {"itof"},
-    "itof.capture": {"itof", "itof.exr", "itof.files", "itof.wall", "itof.pictures"},
+    "itof.capture": {"itof", "itof.exr", "itof.files", "itof.wall", "itof.pictures", "itof.sensor"},
     "render": set(),
     "render.options": set(),
     "render.backend": set(),
