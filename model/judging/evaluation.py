@@ -55,8 +55,8 @@ def evaluate(
     ``table.txt``       summary as text
     ``summary.md``      summary as Markdown
     ``tables.tex``      all tables as LaTeX
-    ``figures/``        pictures of scenes: ``best.png``, ``median.png``, ``worst.png``, and several in
-                        ``scenes.png`` and ``point_clouds.png``; charts of the page
+    ``figures/``        pictures of scenes: ``best``, ``median``, ``worst``, and several in ``scenes`` and
+                        ``point_clouds``; charts of the page; each as ``.png`` and ``.pdf``
     ``film.gif``        truth beside prediction over time; of a sequence only
     ``pointclouds/``    ``<id>_gt.ply`` (blue) and ``<id>_pred.ply`` (green to red by distance from the
                         truth); missing if no pixel shows an object

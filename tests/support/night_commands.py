@@ -40,10 +40,9 @@ _CHARTS = (
     "calibration_mae",
 )
 _CURVES = ("training_loss", "training_mae", "training_miou")
-FIGURES = {
-    f"{name}.png" for name in ("best", "median", "worst", "scenes", "point_clouds", *_CHARTS, *_CURVES)
-}  # of a report
-UNCERTAINTY = {"reliability.png", "expected_mae.png"}  # also, of a network that predicts probabilities
+# Figures of a report, each as PNG and PDF.
+FIGURES = {"best", "median", "worst", "scenes", "point_clouds", *_CHARTS, *_CURVES}
+UNCERTAINTY = {"reliability", "expected_mae"}  # also, of a network that predicts probabilities
 
 DEFECT = 70  # exit code of an exception that no input should cause
 

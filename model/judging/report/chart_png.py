@@ -1,4 +1,4 @@
-"""Charts as PNG files, for documents."""
+"""Charts as figures, for documents."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from disk import data_folder, write_text
-from itof.pictures.figures import write_figure
+from itof.pictures.figures import write_figure, write_pdf
 from model.judging.calibration import Calibration
 from model.judging.report.chart_png import chart_figure
 from model.judging.report.charts import (
@@ -60,7 +60,7 @@ def write_page(
     config: RunConfig,
     origin: Mapping[str, Any],
 ) -> None:
-    """Write ``index.html``, and its pictures and charts also as PNG into ``figures/``.
+    """Write ``index.html``, and its pictures and charts also as PNG and PDF into ``figures/``.
 
     The film of a sequence is in `out` already (`sequence_film`).
 
@@ -83,7 +83,9 @@ def write_page(
     }
     every_chart = [chart for group in charts.values() for chart in group]
     for chart in every_chart:
-        write_figure(figures / f"{chart.name}.png", chart_figure(chart))
+        figure = chart_figure(chart)
+        write_figure(figures / f"{chart.name}.png", figure)
+        write_pdf(figures / f"{chart.name}.pdf", figure)
     page = _environment().get_template(TEMPLATE)
     content = page.render(
         version=version("night-nlos"),

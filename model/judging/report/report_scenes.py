@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from itof.pictures.figures import plain, write_figure
+from itof.pictures.figures import plain, write_figure, write_pdf
 from itof.pictures.pointclouds import (
     DISTANCE_COLOUR_MAP,
     DISTANCE_COLOURS,
@@ -83,6 +83,7 @@ def film_picture(out: Path) -> dict[str, Any]:
 def _written(file: Path, figure: Figure, text: str) -> dict[str, Any]:
     """Write a picture, and what the page needs of it."""
     write_figure(file, figure)
+    write_pdf(file.with_suffix(".pdf"), figure)
     width, height = (round(length * figure.dpi) for length in figure.get_size_inches())
     png = base64.b64encode(file.read_bytes()).decode()
     return {"src": f"data:image/png;base64,{png}", "width": width, "height": height, "text": text}

@@ -12,6 +12,7 @@ from report_pages import AT_NIGHT, WITH_WEBGL, WITHOUT_WEBGL, Page, browse, need
 from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 
 from itof.metrics import image_metrics
+from itof.pictures.figures import write_pdf
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
 from model.judging.report.chart_png import chart_figure
@@ -185,6 +186,23 @@ def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(
     assert averages == pytest.approx([report.no_object.miou.mean, report.prediction.miou.mean])
     curve = next(part for part in charts["calibration_miou"]["parts"] if part["kind"] == "curve")
     assert curve["y"][curve["x"].index(0.5)] == report.calibration.judged.at(0.5).miou
+
+
+def test_every_figure_is_a_pdf_too_with_the_same_bytes_each_time(judged_run, tmp_path):
+    _, folder = judged_run
+    figures = sorted((folder / "figures").iterdir())
+    assert sorted(file.stem for file in figures if file.suffix == ".pdf") == sorted(
+        file.stem for file in figures if file.suffix == ".png"
+    )
+    assert all(file.read_bytes().startswith(b"%PDF") for file in figures if file.suffix == ".pdf")
+    (loss,) = training_curves({"epoch": [1.0, 2.0], "train_loss": [2.0, 1.0], "validation_loss": [3.0, 1.0]})
+    files = [tmp_path / "once.pdf", tmp_path / "again.pdf"]
+    for file in files:
+        write_pdf(file, chart_figure(loss))
+    once, again = (file.read_bytes() for file in files)
+    assert once == again
+    assert b"/CreationDate" not in once
+    assert b"/FontFile2" in once  # TrueType
 
 
 def test_a_history_with_gaps_and_missing_columns_still_makes_charts():

@@ -111,6 +111,6 @@ def test_training_and_evaluation_end_to_end_beat_no_object(judged, many_scenes):
     assert written["prediction"]["miou"]["mean"] == report.prediction.miou.mean
     assert written["paper"]["depth_mae_m"]["mean"] == 0.0521
     assert [scene["scene"] for scene in written["scenes"]] == many_scenes.ids("test")
-    assert {file.name for file in (folder / "figures").iterdir()} == FIGURES
+    assert {file.stem for file in (folder / "figures").iterdir()} == FIGURES
     assert "no object" in report.table
     assert (folder / "table.txt").read_text() == report.table + "\n"
