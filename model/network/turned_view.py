@@ -11,13 +11,13 @@ from torch.nn import functional
 
 from model.settings.input import TURNED_WIDTH
 
-TURNED_HEIGHT: Final = 28
+TURNED_HEIGHT: Final = 56
 _HALF_WIDTH: Final = tan(radians(80 / 2))  # of the turned view, at a distance of 1
 _LEAST_FORWARD: Final = 0.05  # of a ray: rays that leave the view farther to the side get its border
 
 
 class TurnedView:
-    """A pinhole view of 80 degrees and 40 x 28 pixels, turned as `itof.wall.turned_view` says.
+    """A pinhole view of 80 degrees and 80 x 56 pixels, turned as `itof.wall.turned_view` says.
 
     Pixels of a camera and of this view that have the same ray have the same light and depth. Images of any
     size and field of view become images of this one, and outputs become images of the camera again, both by
@@ -25,7 +25,7 @@ class TurnedView:
     """
 
     def of_camera(self, images: Tensor, rays: Tensor) -> Tensor:
-        """(N, C + 1, 28, 40) images as the turned camera sees them, and where they are known, from 0 to 1.
+        """(N, C + 1, 56, 80) images as the turned camera sees them, and where they are known, from 0 to 1.
 
         Parameters
         ----------
@@ -36,7 +36,7 @@ class TurnedView:
         less = max(1, min(width // TURNED_WIDTH, height // TURNED_HEIGHT))
         to_pixel = _homography(rays)
         grid = self._grid(rays)
-        x, y, z = (to_pixel[:, :, :, None, None] * grid[None, None]).sum(2).unbind(1)  # (N, 28, 40)
+        x, y, z = (to_pixel[:, :, :, None, None] * grid[None, None]).sum(2).unbind(1)  # (N, 56, 80)
         is_ahead = z > 0
         z = torch.where(is_ahead, z, 1.0)
         places = torch.stack([torch.where(is_ahead, x / z, 2.0), torch.where(is_ahead, y / z, 2.0)], dim=-1)
@@ -46,7 +46,7 @@ class TurnedView:
         return functional.grid_sample(images, places, mode="bilinear", align_corners=False)
 
     def to_camera(self, images: Tensor, rays: Tensor) -> Tensor:
-        """(N, C, H, W) images of the turned view (N, C, 28, 40), at the pixels with these rays."""
+        """(N, C, H, W) images of the turned view (N, C, 56, 80), at the pixels with these rays."""
         x, y, z = rays.unbind(1)
         z = z.clamp(min=_LEAST_FORWARD) * _HALF_WIDTH
         places = torch.stack([x / z, y / z * (TURNED_WIDTH / TURNED_HEIGHT)], dim=-1)
@@ -56,7 +56,7 @@ class TurnedView:
 
     @staticmethod
     def _grid(like: Tensor) -> Tensor:
-        """(3, 28, 40) rays of the view's pixels, with a forward part of 1."""
+        """(3, 56, 80) rays of the view's pixels, with a forward part of 1."""
         x = _centres(TURNED_WIDTH, like) * _HALF_WIDTH
         y = _centres(TURNED_HEIGHT, like) * (_HALF_WIDTH * TURNED_HEIGHT / TURNED_WIDTH)
         columns, rows = x.expand(TURNED_HEIGHT, -1), y[:, None].expand(-1, TURNED_WIDTH)

@@ -12,7 +12,7 @@ from disk.quantities import Frequency
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall", "turned-residual+wall"]
 AmplitudeDivisor = Literal["mean", "maximum"]
-TURNED_WIDTH: Final = 40  # pixels of the view to which images are turned, in which the network sees them
+TURNED_WIDTH: Final = 80  # pixels of the view to which images are turned, in which the network sees them
 Reference = Literal["geometry", "capture", "self", "self+wiggling"]
 
 

@@ -71,7 +71,8 @@ def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> 
     if settings.input.bounce_images and not dataset.preset.is_one_corner:
         raise TrainingError(
             f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and bounce_images are "
-            "for one corner: take --channels turned-residual+wall, or --set input.channels.bounce_images=false"
+            "for one corner: take --channels turned-residual+wall, or --set "
+            "input.channels.bounce_images=false"
         )
 
 
