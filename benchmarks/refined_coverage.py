@@ -3,13 +3,12 @@
 Of accepted fits with the right shape, of single solids. Places and rotations are counted along the axes of
 the world, extents in the solid's own axes, relative; rotations only of shapes without an axis of symmetry. Of
 a depth map, it is the mean absolute error over the expected one. `refined` is the folder that `night-eval
-refine` has written, with `--unknown sizes --unknown reflectance`, say. Run:
+refine` has written, also of one that goes on. Run:
 
     .venv/bin/python benchmarks/refined_coverage.py refined --of many
 """
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from model.prediction.explanation import Explanation, FoundSolid
 from model.refinement.refined_result import RefinedScene
 from model.refinement.unknowns import stretches
+from model.refinement.work import SCENES_FOLDER
 from scenegen import open_dataset
 from scenegen.pose import rotation_matrix
 from scenegen.scene import HiddenObject
@@ -42,8 +42,8 @@ def main() -> None:
     parser.add_argument("--of", type=Path, required=True, help="its dataset")
     given = parser.parse_args()
     dataset = open_dataset(given.of)
-    content = json.loads((given.refined / "refined.json").read_text())["scenes"]
-    results = TypeAdapter(list[RefinedScene]).validate_python(content)
+    files = sorted((given.refined / SCENES_FOLDER).glob("*.json"))
+    results = [TypeAdapter(RefinedScene).validate_json(file.read_text()) for file in files]
     pairs = [(result, dataset.scene(result.scene).hidden_objects) for result in results]
     accepted = [(result, parts[0]) for result, parts in pairs if len(parts) == 1 and result.accepted]
     right = [(result, solid) for result, solid in accepted if shapes(result.found) == [solid.shape]]
