@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from model.refinement.least_squares import Fit, jacobians
+from model.refinement.least_squares import Fit, beside, derivatives, misfits
 from model.refinement.sketch import Sketch
 from model.refinement.unknowns import FARTHEST, Fitted, Unknown, changed, within_reach
 
@@ -30,6 +30,8 @@ USUAL_M: Final = 0.02  # D of a network that expects none
 _LEAST_M: Final = 0.005  # of D
 # Independent values in the errors of a model. Chosen so that stated errors are the actual ones.
 INDEPENDENT: Final = 14
+# As many of them is the usual misfit worth: logarithms of those of the right solids scatter by 0.37.
+_USUAL_IS_WORTH: Final = 6
 _OF_A_POSE: Final = 7  # unknowns of a solid, and the roughness of the wall
 # One of seven scenes has two solids, and each of six unknowns lowers a chi-squared by one, by chance.
 _OF_ANOTHER: Final = 2 * math.log(6) + 6
@@ -73,6 +75,30 @@ def _in_errors(fit: Fit) -> float:
     return power / (observed.noise**2 + usual**2 * power)
 
 
+def variance_of_model(unexplained: float, unknowns: int) -> float:
+    """Variance of one independent value of a model's error, over the power of the light.
+
+    Each unknown takes one of the values, so what a fit leaves unexplained is less than the model's error. It
+    is known from what is left and from the usual error, as a variance with an inverse gamma distribution.
+    """
+    left = max(_USUAL_IS_WORTH + INDEPENDENT - unknowns, 1)
+    power = (_USUAL_IS_WORTH * USUAL_MISFIT**2 + INDEPENDENT * unexplained**2) / left
+    return power / INDEPENDENT
+
+
+def power_of_jumps(sides: Floats, middle: Floats) -> float:
+    """Mean power by which light jumps between candidates, since shadows move from node to node.
+
+    A fit ends where the jump suits it. So, unlike the model's smooth error, it may count in one value.
+
+    Parameters
+    ----------
+    sides : (U, 2, M) values at even steps to both sides of `middle` (M,). Without jumps, they lie on a line.
+    """
+    bent = sides.sum(axis=1) - 2 * middle  # the sum of one, one and four times the power
+    return float((bent**2).sum(axis=1).mean() / 6)
+
+
 @dataclass(frozen=True)
 class Spread:
     """Standard deviations of the unknowns of a fit, and the error of its mirror image that follows.
@@ -96,12 +122,18 @@ class Spread:
         `fine` has the pixels of the image.
         """
         fit = fits[0]
-        ((unknowns, jacobian),) = jacobians([fit], fitted)
+        is_dim = fit.comparison.reflectance is None
+        ((unknowns, sides),) = beside([fit], fitted)
+        jacobian = derivatives(unknowns, sides)
         observed = fit.comparison.observed
-        model = max(fit.unexplained, USUAL_MISFIT) ** 2 * float(observed.values @ observed.values)
+        power = float(observed.values @ observed.values)
+        model = power * variance_of_model(fit.unexplained, len(unknowns) + is_dim)
+        # Roughness moves no shadow, and its steps may be uneven.
+        moves = [unknown.kind != "roughness" for unknown in unknowns]
+        rough = power_of_jumps(sides[moves], misfits([(fit.comparison, fit.candidate)])[0])
         # What the light does not tell of a solid is not far all the same.
         reach = np.array([FARTHEST[unknown.kind] for unknown in unknowns])
-        information = jacobian.T @ jacobian / (observed.noise**2 + model / INDEPENDENT) + np.diag(reach**-2)
+        information = jacobian.T @ jacobian / (observed.noise**2 + model + rough) + np.diag(reach**-2)
         covariance = np.linalg.inv(information)
         draws = np.random.default_rng(seed).multivariate_normal(
             np.zeros(len(covariance)), covariance, _DRAWS, method="eigh"
@@ -115,7 +147,6 @@ class Spread:
         share = np.exp((against.min() - against) / 2)
         other_m = float(share @ apart_m[: len(fits)] / share.sum())
         own_m = float(apart_m[len(fits) :].mean())
-        is_dim = fit.comparison.reflectance is None
         return cls(unknowns, np.sqrt(np.diag(covariance)), is_dim, own_m + other_m)
 
     @property

@@ -305,6 +305,18 @@ def _step(fits: Sequence[_Going], fitted: Fitted, one_sided: bool) -> None:
 
 def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[_Slopes]:
     """The unknowns of each fit, and (M, U) the derivatives of its values by them: central differences."""
+    return [(own, derivatives(own, sides)) for own, sides in beside(fits, fitted)]
+
+
+def derivatives(numbers: Sequence[Unknown], sides: Floats) -> Floats:
+    """(M, U) derivatives of values by unknowns, from those on both sides (`beside`)."""
+    widths = np.array([np.ptp(each.steps) for each in numbers])
+    found: Floats = (sides[:, 0] - sides[:, 1]).T / widths
+    return found
+
+
+def beside(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[tuple[Sequence[Unknown], Floats]]:
+    """The unknowns of each fit, and (U, 2, M) its misfits with one of them changed by either of its steps."""
     numbers = [unknowns(fit.candidate, fitted, fit.comparison.fine) for fit in fits]
     moved = [
         (fit.comparison, changed(fit.candidate, [each], np.array([step])))
@@ -313,10 +325,7 @@ def jacobians(fits: Sequence[Fit | _Going], fitted: Fitted) -> list[_Slopes]:
         for step in each.steps
     ]
     found = iter(misfits(moved))
-    return [
-        (own, np.stack([(next(found) - next(found)) / np.ptp(each.steps) for each in own], axis=1))
-        for own in numbers
-    ]
+    return [(own, np.array([[next(found), next(found)] for _ in own])) for own in numbers]
 
 
 def _forward(fits: Sequence[_Going], fitted: Fitted) -> list[_Slopes]:
