@@ -1,10 +1,10 @@
-"""Size, time and memory of a transient on disk, in our layout, and of all its bins in lossless compressions.
+"""Size, time and memory of a transient on disk, in our layout with every lossless compression.
 
-Renders one scene (a sphere, wall roughness 0.3) with many-light or with the path tracer. Writes it in our
-layout (docs/reference/files.md), with all bins as the scanlines of an EXR file, and in chunks (T, W, H) as
-the HDF5 file of ``render.products.tal_export``. Checks that every file has the rendered bits. The disk cache
-is warm, and times do not include writing it to the disk. Memory is the peak of a process that only writes, or
-only reads, 64 MiB of rows at a time. Run:
+Renders one scene (a sphere, wall roughness 0.3) with many-light or with the path tracer. Writes it as the
+scanlines of an EXR file (docs/reference/files.md), and in chunks (T, W, H) as the HDF5 file of
+``render.products.tal_export``. Checks that every file has the rendered bits. The disk cache is warm, and
+times do not include writing it to the disk. Memory is the peak of a process that only writes, or only
+reads, 64 MiB of rows at a time. Run:
 
     .venv/bin/python benchmarks/transient_storage.py
     .venv/bin/python benchmarks/transient_storage.py --method path --spp 64
@@ -12,7 +12,6 @@ only reads, 64 MiB of rows at a time. Run:
 """
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,8 +26,7 @@ import Imath
 import numpy as np
 import OpenEXR
 
-from itof import TransientLayout, TransientReader, TransientWriter
-from itof.exr.stretches import Stretches
+from itof import TransientLayout, TransientReader
 from itof.exr.transient import TRANSIENT_CHANNEL
 from render.options import ManyLightOptions, PathOptions
 from render.rendering import Renderer
@@ -48,36 +46,8 @@ FLOAT = Imath.PixelType(Imath.PixelType.FLOAT)
 WriteRows = Callable[[np.ndarray], None]
 
 
-class OurFile:
-    """The layout of ``transient.exr``: pixels with their stretches of the time axis."""
-
-    rows_at_once = 1
-
-    def __init__(self, raw: Path) -> None:
-        self.raw = raw
-
-    @contextmanager
-    def writer(self, file: Path, layout: TransientLayout) -> Iterator[WriteRows]:
-        """Yield a function that appends rows: those of `kept`, which are the same."""
-        numbers, stretches = kept(self.raw)
-        with TransientWriter(file, layout, {}, stretches) as out:
-            done = 0
-
-            def write(rows: np.ndarray) -> None:
-                nonlocal done
-                out.write_rows(numbers[done : done + len(rows)])
-                done += len(rows)
-
-            yield write
-
-    def read(self, file: Path, layout: TransientLayout, start: int, stop: int) -> np.ndarray:
-        """(rows, W, T)."""
-        with TransientReader(file) as reader:
-            return reader.read_rows(start, stop)
-
-
 class ExrFile:
-    """All bins: a scanline is an image row, pixel by pixel, each with all its bins."""
+    """The layout of ``transient.exr``: a scanline is an image row, pixel by pixel, each with all its bins."""
 
     def __init__(self, compression: str) -> None:
         self.code = getattr(OpenEXR, f"{compression}_COMPRESSION")
@@ -131,11 +101,10 @@ class Hdf5File:
             return source["H"][:, :, start:stop].transpose(2, 1, 0)
 
 
-def candidates(raw: Path) -> dict[str, OurFile | ExrFile | Hdf5File]:
+def candidates() -> dict[str, ExrFile | Hdf5File]:
     """All layouts by name, without compressions that this OpenEXR does not have."""
-    ours = {"ours": OurFile(raw)} if kept(raw)[1].first_bin is None else {}
     exr = {f"EXR {name}": ExrFile(name) for name in EXR if hasattr(OpenEXR, f"{name}_COMPRESSION")}
-    return ours | exr | {f"HDF5 {name}": Hdf5File(options) for name, options in HDF5.items()}
+    return exr | {f"HDF5 {name}": Hdf5File(options) for name, options in HDF5.items()}
 
 
 def raw_blocks(raw: Path, layout: TransientLayout, step: int) -> Iterator[tuple[int, np.ndarray]]:
@@ -149,7 +118,7 @@ def raw_blocks(raw: Path, layout: TransientLayout, step: int) -> Iterator[tuple[
 
 def measure_write(name: str, raw: Path, layout: TransientLayout, file: Path) -> tuple[float, float]:
     """Seconds to write the file, and peak memory of this process in MB."""
-    kind = candidates(raw)[name]
+    kind = candidates()[name]
     step = max(1, layout.rows_per_block // kind.rows_at_once) * kind.rows_at_once
     blocks = raw_blocks(raw, layout, step)
     seconds = -time.perf_counter()
@@ -170,7 +139,7 @@ def measure_read(name: str, raw: Path, layout: TransientLayout, file: Path) -> t
     ------
     ValueError : the file does not have the rendered bits.
     """
-    kind = candidates(raw)[name]
+    kind = candidates()[name]
     step = max(1, layout.rows_per_block // kind.rows_at_once) * kind.rows_at_once
     middle = layout.height // 2
     started = time.perf_counter()
@@ -199,23 +168,14 @@ def alone(function: Callable, *arguments: object) -> tuple:
 
 
 def unpack(transient: Path, raw: Path) -> tuple[TransientLayout, float]:
-    """Write the uncompressed values, and what is stored of them; their layout and the share of lit bins."""
+    """Write the uncompressed values; return their layout and the share of bins with light."""
     lit = 0
     with TransientReader(transient) as reader, raw.open("wb") as out:
-        np.save(raw.with_suffix(".npy"), reader.read_numbers(0, reader.layout.height))
-        raw.with_suffix(".json").write_text(json.dumps(vars(reader.stretches)))
         for rows in reader.row_blocks():
             rows.tofile(out)
             lit += np.count_nonzero(rows)
         layout = reader.layout
     return layout, lit / (layout.width * layout.height * layout.bin_count)
-
-
-def kept(raw: Path) -> tuple[np.ndarray, Stretches]:
-    """(H, W, numbers) what the file stored, on disk, and which bins these are."""
-    stored = json.loads(raw.with_suffix(".json").read_text())
-    numbers = np.load(raw.with_suffix(".npy"), mmap_mode="r")
-    return numbers, Stretches(tuple(stored["counts"]), stored["first_bin"])
 
 
 def render(settings: RenderSettings, raw: Path) -> tuple[TransientLayout, float]:
@@ -254,7 +214,7 @@ def main() -> None:
         print(f"{raw.stat().st_size / 1e6:.0f} MB, {share:.0%} of the bins lit\n")
         print("| layout | MB | write s | read s | one row ms | peak MB write, read |")
         print("|---|---|---|---|---|---|")
-        for name in candidates(raw):
+        for name in candidates():
             write_s, write_mb = alone(measure_write, name, raw, layout, file)
             size_mb = file.stat().st_size / 1e6
             read_s, row_s, read_mb = alone(measure_read, name, raw, layout, file)

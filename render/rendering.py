@@ -17,13 +17,13 @@ from disk import whole_file, whole_files
 from disk.sealed_files import SealedFiles, write_sealed
 from itof import (
     DepthMap,
+    MeasurementMatrix,
     Splat,
     TransientWriter,
     compressing_with_threads,
     phasor_channels,
 )
 from itof.exr.image import FIELD_OF_VIEW, PROJECTOR
-from itof.exr.stretches import Stretches
 from render.backend import drjit_threads, select_variant, versions
 from render.batch.light import BOUNCES, SceneLight, suits
 from render.batch.scene_lights import SceneLights
@@ -226,8 +226,7 @@ class Renderer:
             parts = {"itof": binned}
         else:
             what, rows = f"scene {scene.id}: the measurement", exposure.lit_rows()
-            blocks = _finite(rows.blocks, what)
-            parts = {"itof": np.concatenate([self._phasors(rows.stretches, block) for block in blocks])}
+            parts = {"itof": self._phi(rows.bins).apply_streaming(_finite(rows.blocks, what))}
         self._write(folder / MEASUREMENT_FILE, self._channels(parts), attributes)
         return attributes
 
@@ -283,15 +282,16 @@ class Renderer:
         """Render a transient file in blocks of rows; return the (H, W, F) phasors of its bins, if wanted."""
         what = f"scene {attributes['scene_id']}: {path.name}"
         phasors, rows = [], exposure.lit_rows()
+        phi = self._phi(rows.bins)
         try:
             with (
                 whole_file(path) as written,
-                TransientWriter(written, self.layout, attributes, rows.stretches) as writer,
+                TransientWriter(written, self.layout, attributes, rows.bins) as writer,
             ):
                 for block in _finite(rows.blocks, what):
                     writer.write_rows(block)
                     if wants_phasors:
-                        phasors.append(self._phasors(rows.stretches, block))
+                        phasors.append(phi.apply_streaming([block]))
         except LostLightError as error:
             raise RenderError(
                 f"{what}: {error}: change start_opl_m and bin_count in [transient] of the preset, or accept "
@@ -299,10 +299,12 @@ class Renderer:
             ) from None
         return np.concatenate(phasors) if wants_phasors else None
 
-    def _phasors(self, stretches: Stretches, block: NDArray[np.float32]) -> NDArray[np.complex128]:
-        """(rows, W, F) phasors of some rows."""
-        axis = (self.layout.bin_count, self.layout.bin_width_m, self.layout.start_opl_m)
-        return stretches.phasors(block, self.frequencies_hz, axis, _SPLAT)
+    def _phi(self, bins: range) -> MeasurementMatrix:
+        """Φ of some bins of the time axis."""
+        axis = self.layout.cut(bins)
+        return MeasurementMatrix(
+            self.frequencies_hz, axis.bin_count, axis.bin_width_m, axis.start_opl_m, splat=_SPLAT
+        )
 
     def _write(
         self, path: Path, channels: dict[str, NDArray[np.float32]], attributes: dict[str, str]

@@ -1,10 +1,9 @@
 """Transient files: bins over time for every pixel, written and read in blocks of image rows.
 
-One FLOAT channel ``transient.Y``. Scanline y has the W pixels of image row y in order, each with N numbers.
-The file has H scanlines of W·N values, and any block of rows can be written or read by itself. A pixel's
-numbers are the first bins of S stretches of the time axis, then the bins of all stretches, as many of each as
-``night.stretches`` says; all other bins are zero. Without this attribute, the numbers are all T bins, or in
-older files the ``night.stored_bins`` ones from ``night.first_bin`` on. Attributes ``night.bin_count``,
+One FLOAT channel ``transient.Y``. Scanline y has the W pixels of image row y in order, each with its K stored
+bins in time order. The file has H scanlines of W·K values, and any block of rows can be written or read by
+itself. The K bins begin at ``night.first_bin`` of the T bins of the time axis; all others are zero. Without
+this attribute and ``night.stored_bins``, all T are stored. Attributes ``night.bin_count``,
 ``night.bin_width_m``, ``night.start_opl_m``. `itof.exr` has the rest.
 """
 
@@ -13,8 +12,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -25,14 +23,12 @@ from disk.machine_memory import memory_shortage
 from disk.quantities import BIN_WIDTH
 from itof.exr.header import ExrStructure, ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
-from itof.exr.stretches import StretchError, Stretches
+from itof.measurement import MeasurementMatrix
 from itof.splat import SPLATS, Splat
 
 TRANSIENT_CHANNEL = "transient.Y"
 _AXIS = ("bin_count", "bin_width_m", "start_opl_m")  # attributes that every transient has
-_STORED = ("first_bin", "stored_bins")  # of older files
-_STRETCHES = "stretches"
-_MOST_STRETCHES = 16
+_STORED = ("first_bin", "stored_bins")
 # In the Python module of OpenEXR, the place of a row in the image, in bytes, is an int. Beyond it, writing
 # crashes the process (OpenEXR 3.5.3); reading does not.
 MOST_WRITTEN_BYTES = 2**31 - 1
@@ -74,14 +70,15 @@ class TransientLayout:
         """Size of all values as float32, before compression."""
         return 4 * self.width * self.height * self.bin_count
 
+    def cut(self, bins: range) -> TransientLayout:
+        """The same with these bins alone."""
+        start_m = self.start_opl_m + bins.start * self.bin_width_m
+        return replace(self, bin_count=len(bins), start_opl_m=start_m)
+
     @property
     def rows_per_block(self) -> int:
         """Number of image rows in a block of at most 64 MiB; at least 1."""
-        return self.rows_per_block_of(self.bin_count)
-
-    def rows_per_block_of(self, numbers: int) -> int:
-        """The same for so many numbers in a pixel, instead of its bins."""
-        return max(1, _READ_BYTES // (4 * self.width * numbers))
+        return max(1, _READ_BYTES // (4 * self.width * self.bin_count))
 
 
 class TransientWriter:
@@ -92,7 +89,7 @@ class TransientWriter:
     path : file to write.
     layout : shape and time axis.
     attributes : provenance, text by name; the file's names have the prefix ``night.``.
-    stretches : the bins that pixels store; all others are zero. None: all.
+    bins : the bins to store; all others are zero. None: all.
 
     Raises
     ------
@@ -106,7 +103,7 @@ class TransientWriter:
         path: str | os.PathLike[str],
         layout: TransientLayout,
         attributes: Mapping[str, str],
-        stretches: Stretches | None = None,
+        bins: range | None = None,
     ) -> None:
         if layout.raw_bytes > MOST_WRITTEN_BYTES:
             raise ValueError(
@@ -115,20 +112,19 @@ class TransientWriter:
             )
         self.layout = layout
         self._row = 0
-        stretches = stretches or Stretches((layout.bin_count,), 0)
-        self._numbers = stretches.numbers
+        self._bins = bins or range(layout.bin_count)
         axis = {name: repr(getattr(layout, name)) for name in _AXIS}
-        if stretches.first_bin is None:
-            axis[_STRETCHES] = " ".join(map(str, stretches.counts))
-        size = (layout.width * self._numbers, layout.height)
+        if bins is not None:
+            axis |= dict(zip(_STORED, map(str, (bins.start, len(bins))), strict=True))
+        size = (layout.width * len(self._bins), layout.height)
         self._file = ExrOutput(Path(path), size, [TRANSIENT_CHANNEL], {**attributes, **axis})
 
     def write_rows(self, block: ArrayLike) -> None:
-        """Append image rows: (rows, W, numbers), stored as float32."""
+        """Append image rows: (rows, W, bins), stored as float32."""
         rows = np.ascontiguousarray(block, dtype=np.float32)
-        if rows.ndim != 3 or rows.shape[1:] != (self.layout.width, self._numbers):
+        if rows.ndim != 3 or rows.shape[1:] != (self.layout.width, len(self._bins)):
             raise ValueError(
-                f"expected rows of {self.layout.width} pixels x {self._numbers} numbers, got {rows.shape}"
+                f"expected rows of {self.layout.width} pixels x {len(self._bins)} bins, got {rows.shape}"
             )
         if self._row + len(rows) > self.layout.height:
             raise ValueError(f"row {self._row + len(rows)} is past the image's {self.layout.height} rows")
@@ -158,7 +154,7 @@ class TransientReader:
     Attributes
     ----------
     layout : shape and time axis.
-    stretches : the bins that pixels store; all others are zero.
+    bins : the stored bins; all others are zero.
     attributes : provenance, text by name.
 
     Raises
@@ -169,15 +165,14 @@ class TransientReader:
     def __init__(self, path: str | os.PathLike[str], *, advice: str = "") -> None:
         self.path = Path(path)
         self._file = ExrInput(self.path, advice)
-        hidden = (*_STORED, _STRETCHES)
-        self.attributes = {name: text for name, text in self._file.texts.items() if name not in hidden}
+        self.attributes = {name: text for name, text in self._file.texts.items() if name not in _STORED}
         try:
-            self.layout, self.stretches = self._layout(self._file.structure)
+            self.layout, self.bins = self._layout(self._file.structure)
         except ImageFileError:
             self._file.close()
             raise
 
-    def _layout(self, found: ExrStructure) -> tuple[TransientLayout, Stretches]:
+    def _layout(self, found: ExrStructure) -> tuple[TransientLayout, range]:
         missing = [name for name in _AXIS if name not in self.attributes]
         if TRANSIENT_CHANNEL not in found.channels or missing:
             raise self._file.refusal(
@@ -186,9 +181,10 @@ class TransientReader:
             )
         try:
             bin_count = int(self.attributes["bin_count"])
-            stretches = self._stretches(bin_count)
+            found_bins = zip(_STORED, (0, bin_count), strict=True)
+            first, stored = (int(self._file.texts.get(name, all_)) for name, all_ in found_bins)
             layout = TransientLayout(
-                width=found.width // stretches.numbers,
+                width=found.width // stored,
                 height=found.height,
                 bin_count=bin_count,
                 bin_width_m=float(self.attributes["bin_width_m"]),
@@ -196,35 +192,22 @@ class TransientReader:
             )
         except (ValueError, ZeroDivisionError) as error:
             raise self._file.refusal(f"{self.path} has an impossible time axis: {str(error)[:200]}") from None
+        if not 0 <= first < first + stored <= bin_count:
+            raise self._file.refusal(
+                f"{self.path} stores the bins {first} to {first + stored}, and its time axis has {bin_count}"
+            )
         if bin_count > _MOST_BINS:
             raise self._file.refusal(
                 f"{self.path} has {bin_count} time bins, and at most {_MOST_BINS} are read"
             )
-        if found.width % stretches.numbers:
+        if found.width % stored:
             raise self._file.refusal(
-                f"{self.path} has {found.width} values in a row: no whole pixels of "
-                f"{stretches.numbers} numbers"
+                f"{self.path} has {found.width} values in a row: no whole pixels of {stored} bins"
             )
         block_bytes = layout.raw_bytes // found.height * min(found.height, layout.rows_per_block)
         if shortage := memory_shortage(block_bytes + found.unpacking_bytes, copies=_COPIES):
             raise ImageFileError(f"{self.path} {shortage}")
-        return layout, stretches
-
-    def _stretches(self, bin_count: int) -> Stretches:
-        texts = self._file.texts
-        if _STRETCHES in texts:
-            found = Stretches(tuple(map(int, texts[_STRETCHES].split()[: _MOST_STRETCHES + 1])))
-        else:
-            older = zip(_STORED, (0, bin_count), strict=True)
-            first, stored = (int(texts.get(name, all_)) for name, all_ in older)
-            found = Stretches((stored,), first)
-        ends = [(found.first_bin or 0) + count for count in found.counts]
-        is_bad = (
-            min(found.counts, default=0) < 1 or (found.first_bin or 0) < 0 or max(ends, default=0) > bin_count
-        )
-        if is_bad or len(found.counts) > _MOST_STRETCHES:
-            raise ValueError(f"its pixels do not store bins of its {bin_count}")
-        return found
+        return layout, range(first, first + stored)
 
     @property
     def splat(self) -> Splat:
@@ -245,23 +228,18 @@ class TransientReader:
 
     def read_rows(self, start: int, stop: int) -> NDArray[np.float32]:
         """Image rows `start` to `stop` - 1 as (rows, W, T) float32."""
-        rows = self.read_numbers(start, stop)
-        with self._checked():
-            return self.stretches.unpacked(rows, self.layout.bin_count)
+        stored = self._stored_rows(start, stop)
+        if len(self.bins) == self.layout.bin_count:
+            return stored
+        rows = np.zeros((*stored.shape[:2], self.layout.bin_count), np.float32)
+        rows[..., self.bins.start : self.bins.stop] = stored
+        return rows
 
-    def read_numbers(self, start: int, stop: int) -> NDArray[np.float32]:
-        """The same as they are stored: (rows, W, numbers), of which `stretches` says what they are."""
+    def _stored_rows(self, start: int, stop: int) -> NDArray[np.float32]:
         if not 0 <= start < stop <= self.layout.height:
             raise ValueError(f"rows {start}..{stop} are not within the image's {self.layout.height} rows")
         (rows,) = self._file.rows([TRANSIENT_CHANNEL], start, stop)
-        return rows.reshape(stop - start, self.layout.width, self.stretches.numbers)
-
-    @contextmanager
-    def _checked(self) -> Iterator[None]:
-        try:
-            yield
-        except StretchError as error:
-            raise self._file.refusal(f"{self.path} is damaged ({error})") from None
+        return rows.reshape(stop - start, self.layout.width, len(self.bins))
 
     def row_blocks(self, rows: int | None = None) -> Iterator[NDArray[np.float32]]:
         """All image rows in order, as blocks (rows, W, T) float32; by default a block has at most 64 MiB."""
@@ -278,23 +256,20 @@ class TransientReader:
         ------
         ImageFileError : the file is damaged, or the phasors do not fit into memory.
         """
-        axis, splat = self.layout, self.splat
+        axis, stored = self.layout, self.layout.cut(self.bins)
         phasor_bytes = axis.width * axis.height * len(frequencies_hz) * np.dtype(np.complex128).itemsize
         if shortage := memory_shortage(phasor_bytes, copies=_COPIES):
             raise ImageFileError(f"{self.path} {shortage}")
-        step = axis.rows_per_block_of(self.stretches.numbers)
-        with self._checked():
-            return np.concatenate(
-                [
-                    self.stretches.phasors(
-                        self.read_numbers(start, min(start + step, axis.height)),
-                        frequencies_hz,
-                        (axis.bin_count, axis.bin_width_m, axis.start_opl_m),
-                        splat,
-                    )
-                    for start in range(0, axis.height, step)
-                ]
-            )
+        phi = MeasurementMatrix(
+            tuple(frequencies_hz),
+            stored.bin_count,
+            stored.bin_width_m,
+            stored.start_opl_m,
+            splat=self.splat,
+        )
+        step, height = stored.rows_per_block, axis.height
+        ranges = ((start, min(start + step, height)) for start in range(0, height, step))
+        return phi.apply_streaming(self._stored_rows(*each) for each in ranges)
 
     def __enter__(self) -> TransientReader:
         return self

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from itof import TransientLayout
-from itof.exr.stretches import Stretches
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -64,16 +63,19 @@ class LitRows:
 
     Attributes
     ----------
-    stretches : which bins the numbers of a pixel are.
-    blocks : rows from top to bottom, in blocks (rows, W, numbers); bins are radiance, W m^-2 sr^-1.
+    bins : these bins, of all T; at least one.
+    blocks : rows from top to bottom, in blocks (rows, W, bins) of radiance per bin, W m^-2 sr^-1.
     """
 
-    stretches: Stretches
+    bins: range
     blocks: Iterator[NDArray[np.float32]]
 
     def of_all_bins(self, bin_count: int) -> Iterator[NDArray[np.float32]]:
         """The same rows with all T bins, (rows, W, T)."""
-        return (self.stretches.unpacked(block, bin_count) for block in self.blocks)
+        for block in self.blocks:
+            rows = np.zeros((*block.shape[:2], bin_count), np.float32)
+            rows[..., self.bins.start : self.bins.stop] = block
+            yield rows
 
 
 class Exposure(Protocol):

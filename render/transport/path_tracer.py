@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from itof.exr.stretches import Stretches
 from render.options import PathOptions
 from render.transport.film.lattice import Lattice
 from render.transport.method import LitRows, View
@@ -87,7 +86,7 @@ class PathExposure:
 
     def lit_rows(self) -> LitRows:
         """Image rows of all bins, which noise may fill."""
-        return LitRows(Stretches((self.view.layout.bin_count,), 0), self.row_blocks())
+        return LitRows(range(self.view.layout.bin_count), self.row_blocks())
 
     def row_blocks(self) -> Iterator[NDArray[np.float32]]:
         """Image rows from top to bottom, in blocks (rows, W, T) of radiance per bin, W m^-2 sr^-1."""

@@ -17,8 +17,6 @@ from itof import (
     write_image,
 )
 from itof.exr.image import image_bytes
-from itof.exr.library import ExrOutput
-from itof.exr.stretches import Stretches
 
 LAYOUT = TransientLayout(width=5, height=7, bin_count=11, bin_width_m=0.01, start_opl_m=0.3)
 
@@ -45,72 +43,18 @@ def test_a_transient_comes_back_bit_for_bit_in_any_blocks(transient_file, cube):
         np.testing.assert_array_equal(reader.read_rows(5, 6), cube[5:6])
 
 
-def test_a_transient_of_an_older_version_stores_the_same_bins_of_all_pixels(tmp_path, cube):
+def test_bins_that_are_not_stored_are_dark(tmp_path, cube):
     cube[..., :3] = cube[..., 8:] = 0
-    axis = {"bin_count": "11", "bin_width_m": "0.01", "start_opl_m": "0.3"}
-    bins = {"first_bin": "3", "stored_bins": "5"}
-    file = ExrOutput(tmp_path / "a.exr", (25, 7), ["transient.Y"], axis | bins)
-    file.write({"transient.Y": np.ascontiguousarray(cube[..., 3:8])}, 7)
-    file.close(complete=True)
+    with TransientWriter(tmp_path / "a.exr", LAYOUT, {}, range(3, 8)) as writer:
+        writer.write_rows(cube[..., 3:8])
     with TransientReader(tmp_path / "a.exr") as reader:
         assert reader.layout == LAYOUT
+        assert reader.bins == range(3, 8)
         np.testing.assert_array_equal(np.concatenate(list(reader.row_blocks(3))), cube)
         z = reader.phasors([20e6, 60e6])
     np.testing.assert_allclose(z, phasors(cube, [20e6, 60e6], 0.01, start_opl_m=0.3), rtol=1e-12)
-
-
-@pytest.fixture
-def stretched(tmp_path):
-    """A file of stretches of 2 and 4 bins, its numbers, and all bins of its pixels."""
-    rng = np.random.default_rng(1)
-    numbers = rng.random((7, 5, 8), dtype=np.float32)
-    first = [rng.integers(0, 12 - count, (7, 5)) for count in (2, 4)]
-    numbers[..., :2] = np.stack(first, axis=-1)
-    dense = np.zeros((7, 5, 11), np.float32)
-    for y, x in np.ndindex(7, 5):
-        for begin, count, place in ((first[0][y, x], 2, 2), (first[1][y, x], 4, 4)):
-            dense[y, x, begin : begin + count] += numbers[y, x, place : place + count]
-    with TransientWriter(tmp_path / "a.exr", LAYOUT, {}, Stretches((2, 4))) as writer:
-        writer.write_rows(numbers[:3])
-        writer.write_rows(numbers[3:])
-    return tmp_path / "a.exr", numbers, dense
-
-
-def test_pixels_store_stretches_of_their_own_and_other_bins_are_dark(stretched):
-    file, numbers, dense = stretched
-    with TransientReader(file) as reader:
-        assert reader.layout == LAYOUT
-        np.testing.assert_array_equal(np.concatenate(list(reader.row_blocks(3))), dense)
-        z = reader.phasors([20e6, 60e6])
-    # Bins of both stretches of a pixel are added in float32 here.
-    np.testing.assert_allclose(z, phasors(dense, [20e6, 60e6], 0.01, start_opl_m=0.3), rtol=2.0**-23)
-    with OpenEXR.File(str(file)) as plain:
-        assert plain.header()["night.stretches"] == "2 4"
-        pixels = plain.channels()["transient.Y"].pixels
-    np.testing.assert_array_equal(pixels.reshape(7, 5, 8), numbers)
-
-
-@pytest.mark.parametrize("first", [-1, 8, 0.5, np.nan, np.inf])
-def test_stretches_that_lie_outside_the_time_axis_are_damage(tmp_path, first):
-    numbers = np.zeros((7, 5, 5), np.float32)
-    numbers[6, 4, 0] = first
-    with TransientWriter(tmp_path / "a.exr", LAYOUT, {}, Stretches((4,))) as writer:
-        writer.write_rows(numbers)
-    with TransientReader(tmp_path / "a.exr", advice="ask Ann") as reader:
-        assert not reader.read_rows(0, 6).any()
-        for read in (lambda: reader.read_rows(0, 7), lambda: reader.phasors([20e6])):
-            with pytest.raises(ImageFileError, match=r"a\.exr is damaged .* none of its 11\): ask Ann$"):
-                read()
-
-
-@pytest.mark.parametrize("text", ["", "0 6", "-2 8", "12", "two", " ".join(17 * ["1"])])
-def test_stretches_that_cannot_be_are_refused(tmp_path, text):
-    axis = {"bin_count": "11", "bin_width_m": "0.01", "start_opl_m": "0.3", "stretches": text}
-    file = ExrOutput(tmp_path / "a.exr", (40, 7), ["transient.Y"], axis)
-    file.write({"transient.Y": np.zeros((7, 40), np.float32)}, 7)
-    file.close(complete=True)
-    with pytest.raises(ImageFileError, match="impossible time axis"):
-        TransientReader(tmp_path / "a.exr")
+    plain = OpenEXR.InputFile(str(tmp_path / "a.exr")).channel("transient.Y")
+    np.testing.assert_array_equal(np.frombuffer(plain, np.float32).reshape(7, 5, 5), cube[..., 3:8])
 
 
 @pytest.mark.long
@@ -204,7 +148,7 @@ def test_a_file_with_missing_rows_is_never_finished(tmp_path, cube):
 
 def test_rows_of_another_shape_are_refused(tmp_path, cube):
     with (
-        pytest.raises(ValueError, match="expected rows of 5 pixels x 11 numbers"),
+        pytest.raises(ValueError, match="expected rows of 5 pixels x 11 bins"),
         TransientWriter(tmp_path / "a.exr", LAYOUT, {}) as writer,
     ):
         writer.write_rows(cube[:, :4])

@@ -120,7 +120,7 @@ def test_a_transient_of_a_damaged_time_axis_is_refused(pipeline_copy, tmp_path):
     with TransientWriter(file, layout, {}) as writer:
         writer.write_rows(np.ones((layout.height, layout.width, layout.bin_count)))
     content = file.read_bytes()
-    for bins, words in ((b"1399", "no whole pixels of 1399 numbers"), (b"many", "impossible time axis")):
+    for bins, words in ((b"1399", "no whole pixels of 1399 bins"), (b"many", "impossible time axis")):
         file.write_bytes(content.replace(b"1400", bins))
         record_anew(file.parent)
         command = (

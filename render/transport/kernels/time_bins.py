@@ -11,7 +11,7 @@ from render.transport.kernels.wall_light import light_transport
 
 
 class TimeAxis:
-    """A time axis as opaque DrJit numbers: count of the bins of a pixel, 1 / bin width, start of bin 0."""
+    """A time axis as opaque DrJit numbers: bin count, 1 / bin width, start of the first bin."""
 
     DRJIT_STRUCT: ClassVar = {"count": mi.UInt32, "per_metre": mi.Float, "start": mi.Float}
 
@@ -28,20 +28,18 @@ def splat_quadratic(
     opl: mi.Float,
     energy: mi.Float,
     quantum: mi.Float64 | None = None,
-    low: mi.Int32 | int = 0,
 ) -> mi.Float:
     """Add `energy` at `opl` to the three nearest bins of the pixel whose bins begin at `first`.
 
     The shares are those of a quadratic B-spline (`itof.splat`): they are never negative and sum to 1. DrJit's
     scatter drops NaN without a message, so NaN is replaced by infinity, which stops the render. Returns the
-    energy that falls outside the bins of the pixel.
+    energy that falls outside the time axis.
 
     Parameters
     ----------
     quantum : None if no two lanes add to the same bins. Otherwise `bins` are float64, and shares are rounded
         to multiples of this power of two. Sums below 2^53 of them are exact, so the order of the lanes, which
         depends on the number of threads, does not matter.
-    low : the pixel's first bin on the time axis.
     """
     energy = dr.select(dr.isnan(energy), dr.inf, energy)
     place = (opl - axis.start) * axis.per_metre  # in bins from the start of the axis
@@ -51,7 +49,7 @@ def splat_quadratic(
     shares = (-1, dr.square(0.5 - off) / 2), (0, 0.75 - dr.square(off)), (1, dr.square(0.5 + off) / 2)
     lost = mi.Float(0)
     for step, share in shares:
-        index = mi.Int32(nearest) + step - low
+        index = mi.Int32(nearest) + step
         inside = (index >= 0) & (index < limit)
         part, mode = energy * share, dr.ReduceMode.NoConflicts
         lost += dr.select(inside, 0, part)
@@ -68,11 +66,10 @@ def splat_samples(
     sample: mi.UInt32,
     end: mi.UInt32,
     first: mi.UInt32,
-    low: mi.Int32,
     axis: TimeAxis,
     bins: mi.Float,
 ) -> tuple[mi.Float, mi.Float]:
-    """Add the samples from `sample` to `end` of each lane to the bins from `low` on, which begin at `first`.
+    """Add the samples from `sample` to `end` of each lane to the bins that begin at `first`.
 
     One lane adds all samples of a pixel in their order: if several threads added to the same bins, the sums
     would depend on which came first. Returns the energy that arrived, and that which arrived outside the time
@@ -82,7 +79,7 @@ def splat_samples(
     while sample < end:
         part = dr.gather(mi.Float, energy, sample)
         path = dr.gather(mi.Float, opl, sample)
-        lost += splat_quadratic(bins, first, axis, path, part, low=low)
+        lost += splat_quadratic(bins, first, axis, path, part)
         arrived += part
         sample += 1
     return arrived, lost
@@ -103,8 +100,8 @@ def splat_trapezoids(
     """Add the cells from `cell` to `end` of each lane to the bins that begin at `first`.
 
     The light of a cell is spread evenly over a parallelogram, of which the place on the time axis changes by
-    `across` and `down` from side to side, around `middle`; all three in bins, `middle` from `first` on. With
-    F, the quadratic B-spline integrated twice, the share of the bin at the distance u is
+    `across` and `down` from side to side, around `middle`; all three in bins. With F, the quadratic B-spline
+    integrated twice, the share of the bin at the distance u is
 
         [F(u + (a + b)/2) - F(u + (a - b)/2) - F(u - (a - b)/2) + F(u - (a + b)/2)] / (a b).
 
@@ -153,11 +150,10 @@ def splat_lights(
     weight: mi.Float,
     later: mi.Float,
     first: mi.UInt32,
-    low: mi.Int32,
     axis: TimeAxis,
     bins: mi.Float,
 ) -> tuple[mi.Float, mi.Float]:
-    """Add every packet of every light to the bins from `low` on, which begin at `first`; both differ by lane.
+    """Add every packet of every light to the bins that begin at `first`, which differs from lane to lane.
 
     `energy` and `opl` are (lights, packets) in C order. `weight` multiplies the energy of each lane, and
     `later` (metres) is added to its paths. Returns the energy that arrived, and that which arrived outside
@@ -173,35 +169,11 @@ def splat_lights(
         while packet < last:
             part = weight * transport * dr.gather(mi.Float, energy, packet)
             path = travelled + dr.gather(mi.Float, opl, packet)
-            lost += splat_quadratic(bins, first, axis, path, part, low=low)
+            lost += splat_quadratic(bins, first, axis, path, part)
             arrived += part
             packet += 1
         light += 1
     return arrived, lost
-
-
-@dr.syntax
-def arrival_ends(
-    si: mi.SurfaceInteraction3f,
-    position: mi.Point3f,
-    normal: mi.Point3f,
-    earliest: mi.Float,
-    latest: mi.Float,
-    count: mi.UInt32,
-) -> tuple[mi.Float, mi.Float]:
-    """Bounds of the paths that `splat_lights` adds up: infinite and minus infinite where it adds none.
-
-    `earliest` and `latest` are those of the packets of each light.
-    """
-    light, low, high = mi.UInt32(0), mi.Float(dr.inf), mi.Float(-dr.inf)
-    while (light < count) & si.is_valid():
-        gap = dr.gather(mi.Point3f, position, light) - si.p
-        path = dr.norm(gap) + si.t
-        faces = dr.dot(dr.gather(mi.Point3f, normal, light), gap) < 0
-        low = dr.select(faces, dr.minimum(low, path + dr.gather(mi.Float, earliest, light)), low)
-        high = dr.select(faces, dr.maximum(high, path + dr.gather(mi.Float, latest, light)), high)
-        light += 1
-    return low, high
 
 
 @dr.syntax
@@ -248,8 +220,7 @@ def add_shifted(
     relative: TimeAxis,
     amplitude: mi.Float,
     shift: mi.Float,
-    begin: mi.UInt32,
-    low: mi.Int32,
+    pixel: mi.UInt32,
     axis: TimeAxis,
     window: int,
     bins: mi.Float,
@@ -258,8 +229,8 @@ def add_shifted(
 
     A curve is the sum of as many successive curves of `values` as there are `weights`, from the number `tap`
     on. There is one lane for each of `window` bins of each curve; between samples, a curve is linear.
-    `tap`, `weights`, `quantum`, `amplitude`, `shift`, and the pixel's first bin `low`, which is at `begin`,
-    belong to the curves. Light is rounded to multiples of `quantum`. Returns what arrived and was lost.
+    `tap`, `weights`, `quantum`, `amplitude`, `shift` and `pixel` belong to the curves. Light is rounded to
+    multiples of `quantum`. Returns what arrived and what was lost, by lane.
     """
     lane, size = dr.arange(mi.UInt32, dr.width(amplitude) * window), dr.opaque(mi.UInt32, window)
     curve, step = lane // size, lane % size
@@ -280,8 +251,9 @@ def add_shifted(
     # splines overshoot a little where the curve is nearly zero; no bin holds negative light
     value, grain = value * dr.gather(mi.Float, amplitude, curve), dr.gather(mi.Float, quantum, curve)
     value = dr.maximum(dr.round(value / grain) * grain, 0)
-    index -= dr.gather(mi.Int32, low, curve)
     inside = (index >= 0) & (index < mi.Int32(axis.count))
-    where = dr.gather(mi.UInt32, begin, curve) + mi.UInt32(index)
-    dr.scatter_reduce(dr.ReduceOp.Add, bins, value, where, inside, dr.ReduceMode.NoConflicts)
+    first = dr.gather(mi.UInt32, pixel, curve) * axis.count
+    dr.scatter_reduce(
+        dr.ReduceOp.Add, bins, value, first + mi.UInt32(index), inside, dr.ReduceMode.NoConflicts
+    )
     return value, dr.select(inside, 0, value)

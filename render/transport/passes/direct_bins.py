@@ -17,10 +17,11 @@ from render.transport.film.pixels import Grid, PixelRule, gauss_rule
 from render.transport.method import View
 from render.transport.passes.direct_pass import DirectImage, bin_order
 from render.transport.passes.direct_samples import DirectSamples, sample_direct
-from render.transport.passes.pixel_bins import PixelBins
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from render.transport.kernels.time_bins import TimeAxis
 
 # In the width of the image; and in x and in y in a pixel, where surfaces have edges within.
 _CELLS, _FEWEST_CELLS = 240, 2
@@ -116,69 +117,80 @@ class DirectBins:
     energy: NDArray[np.float64]
     pixel: NDArray[np.int64]
 
-    def ends(self, layout: TransientLayout) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(pixels,) first and last place of the light, in bins from the start of the time axis.
-
-        Infinite and minus infinite where there is none.
-        """
-        low, high = (np.full(layout.width * layout.height, end) for end in (np.inf, -np.inf))
-        cells, lit = self.cells, self.energy > 0
+    def ends(self, layout: TransientLayout) -> tuple[float, float]:
+        """First and last place of the light, in bins from the start of the time axis."""
+        cells = self.cells
         reach = (cells.across + cells.down) / 2
-        low[self.by_cells] = (cells.middle - reach).min(axis=1)
-        high[self.by_cells] = (cells.middle + reach).max(axis=1)
-        place = (self.samples.opl_m[lit].astype(float) - layout.start_opl_m) / layout.bin_width_m
-        np.minimum.at(low, self.pixel[lit], place)
-        np.maximum.at(high, self.pixel[lit], place)
-        return low - _REACH_BINS, high + _REACH_BINS
+        place = (self.samples.opl_m[self.energy > 0].astype(float) - layout.start_opl_m) / layout.bin_width_m
+        ends = (cells.middle - reach, cells.middle + reach)
+        low, high = (np.concatenate([each.ravel(), place]) for each in ends)
+        return (
+            float(low.min(initial=np.inf)) - _REACH_BINS,
+            float(high.max(initial=-np.inf)) + _REACH_BINS,
+        )
 
-    def add(self, rows: tuple[int, int], places: PixelBins, bins: mi.Float) -> tuple[float, float]:
-        """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
+    def add(
+        self, rows: tuple[int, int], first_bin: int, axis: TimeAxis, bins: mi.Float
+    ) -> tuple[float, float]:
+        """Add some rows to `bins`; energy that arrived, and energy outside the time axis.
+
+        Parameters
+        ----------
+        first_bin : where `axis` begins, in bins from the start of the time axis of the cells.
+        """
         first, last = rows[0] * self.width, rows[1] * self.width
         cells = slice(*np.searchsorted(self.by_cells, [first, last]))
         nodes = slice(*np.searchsorted(self.pixel, [first, last]))
         totals = np.zeros(2)
         if len(self.by_cells[cells]):
-            totals += self._add_cells(cells, first, places, bins)
+            totals += self._add_cells(cells, self.by_cells[cells] - first, first_bin, axis, bins)
         if len(self.pixel[nodes]):
-            totals += self._add_nodes(nodes, first, places, bins)
+            totals += self._add_nodes(nodes, self.pixel[nodes] - first, axis, bins)
         return float(totals[0]), float(totals[1])
 
-    def _add_cells(self, chosen: slice, first: int, places: PixelBins, bins: mi.Float) -> tuple[float, float]:
+    def _add_cells(
+        self,
+        chosen: slice,
+        pixels: NDArray[np.int64],
+        first_bin: int,
+        axis: TimeAxis,
+        bins: mi.Float,
+    ) -> tuple[float, float]:
         import drjit as dr
         import mitsuba as mi
 
-        from render.transport.kernels import time_bins
+        from render.transport.kernels import arrays, time_bins
 
-        cells, pixels = self.cells, self.by_cells[chosen]
-        middle = cells.middle[chosen] - places.first[pixels][:, None]
-        count = dr.opaque(mi.UInt32, middle.shape[1])
+        cells = self.cells
+        columns = (cells.energy, cells.middle - first_bin, cells.across, cells.down)
+        count = dr.opaque(mi.UInt32, cells.energy.shape[1])
         begin = dr.arange(mi.UInt32, len(pixels)) * count
-        columns = (cells.energy[chosen], middle, cells.across[chosen], cells.down[chosen])
         lost = time_bins.splat_trapezoids(
-            *(mi.Float64(each.ravel()) for each in columns),
+            *(mi.Float64(each[chosen].ravel()) for each in columns),
             begin,
             begin + count,
-            places.begin(pixels, first),
-            places.axis,
+            arrays.upload_indices(pixels) * axis.count,
+            axis,
             bins,
         )
         dr.eval(bins, lost)
         return float(cells.energy[chosen].sum()), dr.sum(lost)[0]
 
-    def _add_nodes(self, nodes: slice, first: int, places: PixelBins, bins: mi.Float) -> tuple[float, float]:
+    def _add_nodes(
+        self, nodes: slice, pixel: NDArray[np.int64], axis: TimeAxis, bins: mi.Float
+    ) -> tuple[float, float]:
         import drjit as dr
 
         from render.transport.kernels import arrays, time_bins
 
-        pixels, begin, count = np.unique(self.pixel[nodes], return_index=True, return_counts=True)
+        pixels, begin, count = np.unique(pixel, return_index=True, return_counts=True)
         found = time_bins.splat_samples(
             arrays.upload(self.samples.opl_m[nodes]),
             arrays.upload(self.energy[nodes]),
             arrays.upload_indices(begin),
             arrays.upload_indices(begin + count),
-            places.begin(pixels, first),
-            places.low(pixels),
-            places.axis,
+            arrays.upload_indices(pixels) * axis.count,
+            axis,
             bins,
         )
         dr.eval(bins, found)

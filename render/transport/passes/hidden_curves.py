@@ -15,10 +15,11 @@ from render.transport.method import View
 from render.transport.passes.direct_samples import seen_surfaces
 from render.transport.passes.gather_pass import carrier_amplitude
 from render.transport.passes.hidden_pass import HiddenField, interpolable
-from render.transport.passes.pixel_bins import PixelBins
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from render.transport.kernels.time_bins import TimeAxis
 
 # Cells in the width of the film. A cell is 12 cm of the wall, over which the light from the ends of an object
 # shifts by four bins: 1 to 2 % of the hidden signal at the wrong time, where the lights leave 10 %.
@@ -73,7 +74,7 @@ class HiddenCurves:
         rows: tuple[int, int],
         pixels: NDArray[np.int64],
         carriers: list[NDArray[np.float64]],
-        places: PixelBins,
+        axis: TimeAxis,
         bins: mi.Float,
     ) -> list[tuple[float, float]]:
         """Add pixels of some rows to `bins`, which begin with these; energies that arrived and were lost.
@@ -88,9 +89,9 @@ class HiddenCurves:
         from render.transport.kernels import arrays, time_bins
 
         relative = time_bins.TimeAxis(self.coefficients.shape[2], self.width_m, self.start_m)
-        window = int(self.length_m * float(places.axis.per_metre[0])) + 2
+        window = int(self.length_m * float(axis.per_metre[0])) + 2
         row, column = pixels // grid.width - rows[0], pixels % grid.width
-        begin, low = places.begin(pixels, rows[0] * grid.width), places.low(pixels)
+        uploaded = arrays.upload_indices(pixels - rows[0] * grid.width)
         taps = [self.lattice.taps((np.arange(grid.width) + x) / grid.width) for x in rule.nodes]
         totals = []
         for node, weight in enumerate(rule.pixel_weights):
@@ -108,9 +109,8 @@ class HiddenCurves:
                 relative,
                 arrays.upload(amplitude * weight),
                 arrays.upload(path_m),
-                begin,
-                low,
-                places.axis,
+                uploaded,
+                axis,
                 window,
                 bins,
             )

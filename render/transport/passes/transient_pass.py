@@ -27,10 +27,11 @@ from render.transport.passes.edge_points import ChosenPoints, choose_points
 from render.transport.passes.gather_pass import carrier_path_m, carrier_paths
 from render.transport.passes.hidden_curves import make_curves
 from render.transport.passes.hidden_pass import HiddenField
-from render.transport.passes.pixel_bins import PixelBins, pixel_bins
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from render.transport.kernels.time_bins import TimeAxis
 
 _MOST_PACKETS = 64  # for the arrivals of each light,
 _ALL_PACKETS = 2**16  # and of all lights together, as far as they have two each, at this error; for smaller
@@ -71,8 +72,10 @@ def transient_rows(
     parts: list[DirectBins | _HiddenPart] = [direct_bins(scene, grid, direct, view)]
     if field is not None:
         parts.append(_HiddenPart(scene, view, grid, rule, direct, field))
-    stretches, places = pixel_bins([part.ends(layout) for part in parts], layout)
-    return LitRows(stretches, _row_blocks(scene, view, grid, parts, places, field))
+    ends = np.array([part.ends(layout) for part in parts])
+    low, high = np.clip([np.floor(ends[:, 0].min()), np.ceil(ends[:, 1].max())], 0, layout.bin_count)
+    bins = range(int(low), int(high)) if low < high else range(1)
+    return LitRows(bins, _row_blocks(scene, view, grid, parts, bins, field))
 
 
 def _row_blocks(
@@ -80,26 +83,24 @@ def _row_blocks(
     view: View,
     grid: Grid,
     parts: list[DirectBins | _HiddenPart],
-    places: list[PixelBins],
+    bins: range,
     field: HiddenField | None,
 ) -> Iterator[NDArray[np.float32]]:
     import drjit as dr
     import mitsuba as mi
 
-    numbers = places[0].numbers
-    step = view.layout.rows_per_block
+    from render.transport.kernels.time_bins import TimeAxis
+
+    layout = view.layout.cut(bins)
+    axis = TimeAxis(layout.bin_count, layout.bin_width_m, layout.start_opl_m)
     lost = arrived = 0.0
-    for start in range(0, grid.height, step):
-        rows = (start, min(start + step, grid.height))
-        bins = dr.zeros(mi.Float, (rows[1] - rows[0]) * grid.width * numbers)
-        found = [part.add(rows, place, bins) for part, place in zip(parts, places, strict=True)]
+    for start in range(0, grid.height, layout.rows_per_block):
+        rows = (start, min(start + layout.rows_per_block, grid.height))
+        block = dr.zeros(mi.Float, (rows[1] - rows[0]) * grid.width * layout.bin_count)
+        found = [part.add(rows, bins.start, axis, block) for part in parts]
         lost += sum(part[1] for part in found)
         arrived += found[-1][0]
-        block = bins.numpy().reshape(rows[1] - rows[0], grid.width, numbers)
-        for number, place in enumerate(places):
-            first = place.first.reshape(grid.height, grid.width)
-            block[..., number] = first[rows[0] : rows[1]]
-        yield block
+        yield block.numpy().reshape(rows[1] - rows[0], grid.width, layout.bin_count)
     if lost > _MOST_LOST * arrived:
         whole = view.layout
         end_m = whole.start_opl_m + whole.bin_count * whole.bin_width_m
@@ -160,63 +161,38 @@ class _HiddenPart:
         self.chosen = choose_points(direct)
         self.chosen_weights, self.chosen_later_m = _rescaled(field, self.chosen)
 
-    def ends(self, layout: TransientLayout) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(pixels,) first and last place of the light, in bins from the start of the time axis.
-
-        Infinite and minus infinite where there is none.
-        """
-        low, high = (np.full(layout.width * layout.height, end) for end in (np.inf, -np.inf))
-        rule, chosen = self.rule, self.chosen
-        points = self.grid.points(self.exact, rule.pixel_nodes).reshape(-1, 2)
-        for pixels, at, later_m in (
-            (np.repeat(self.exact, rule.count), points, np.zeros(len(points))),
-            (chosen.pixels[chosen.group], chosen.points, self.chosen_later_m),
-        ):
-            earliest_m, latest_m = self._arrivals_m(at)
-            np.minimum.at(low, pixels, earliest_m + later_m)
-            np.maximum.at(high, pixels, latest_m + later_m)
+    def ends(self, layout: TransientLayout) -> tuple[float, float]:
+        """Bounds of the places of the light, in bins from the start of the time axis."""
+        found = []
         if self.curves is not None and len(self.smooth):
-            path_m = self.carriers[1] + self.curves.start_m
-            low[self.smooth] = path_m.min(axis=1)
-            high[self.smooth] = path_m.max(axis=1) + self.curves.length_m
-        low, high = ((end - layout.start_opl_m) / layout.bin_width_m for end in (low, high))
+            start_m, length_m = self.curves.start_m, self.curves.length_m
+            found += [self.carriers[1].min() + start_m, self.carriers[1].max() + start_m + length_m]
+        exact = self.grid.points(self.exact, self.rule.pixel_nodes).reshape(-1, 2)
+        lights, (energy, opl_m) = self.field.lights, self.packets
+        lit, reach_m = opl_m[energy > 0], lights.reach_m
+        for points, later_m in ((exact, np.zeros(len(exact))), (self.chosen.points, self.chosen_later_m)):
+            if len(points) and len(lit):
+                path_m = carrier_paths(self.scene, points, lights.centre)[1] + later_m
+                found += [path_m.min() + lit.min() - reach_m, path_m.max() + lit.max() + reach_m]
+        place = (np.array(found) - layout.start_opl_m) / layout.bin_width_m
+        low, high = float(place.min(initial=np.inf)), float(place.max(initial=-np.inf))
         return low - _MARGIN_BINS, high + _MARGIN_BINS
 
-    def _arrivals_m(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(P,) bounds of the paths of the light of all packets over film positions (P, 2), metres."""
-        import drjit as dr
-        import mitsuba as mi
-
-        from render.transport.kernels import arrays, rays, time_bins
-
-        if not len(points):
-            return np.zeros(0), np.zeros(0)
-        lights, (energy, opl_m) = self.field.lights, self.packets
-        ends = time_bins.arrival_ends(
-            rays.camera_hits(self.scene, *(arrays.upload(column) for column in points.T)),
-            arrays.upload_points(lights.position),
-            arrays.upload_points(lights.normal),
-            arrays.upload(np.where(energy > 0, opl_m, np.inf).min(axis=1)),
-            arrays.upload(np.where(energy > 0, opl_m, -np.inf).max(axis=1)),
-            dr.opaque(mi.UInt32, len(lights)),
-        )
-        dr.eval(ends)
-        low, high = (np.array(end, dtype=float) for end in ends)
-        return low, high
-
-    def add(self, rows: tuple[int, int], places: PixelBins, bins: mi.Float) -> tuple[float, float]:
+    def add(
+        self, rows: tuple[int, int], first_bin: int, axis: TimeAxis, bins: mi.Float
+    ) -> tuple[float, float]:
         """Add some rows to `bins`; energy that arrived, and energy outside the time axis."""
         first, last = rows[0] * self.grid.width, rows[1] * self.grid.width
         totals = []
         some = slice(*np.searchsorted(self.smooth, [first, last]))
         if self.curves is not None and len(self.smooth[some]):
             carriers = [each[some] for each in self.carriers]
-            totals += self.curves.add(self.grid, self.rule, rows, self.smooth[some], carriers, places, bins)
+            totals += self.curves.add(self.grid, self.rule, rows, self.smooth[some], carriers, axis, bins)
         exact = self.exact[slice(*np.searchsorted(self.exact, [first, last]))]
         for node, share in zip(self.rule.pixel_nodes, self.rule.pixel_weights, strict=True):
             points = self.grid.points(exact, node[None])[:, 0]
             weights, later_m = np.full(len(exact), share), np.zeros(len(exact))
-            totals.append(self._splat(points, weights, later_m, exact, first, places, bins))
+            totals.append(self._splat(points, weights, later_m, exact - first, axis, bins))
         chosen = self.chosen
         pixel = chosen.pixels[chosen.group]
         mine = np.flatnonzero((pixel >= first) & (pixel < last))
@@ -224,8 +200,7 @@ class _HiddenPart:
             now = np.unique(pixel[mine], return_index=True)[1]
             one = mine[now]
             weights, later_m = self.chosen_weights[one], self.chosen_later_m[one]
-            at = chosen.points[one]
-            totals.append(self._splat(at, weights, later_m, pixel[one], first, places, bins))
+            totals.append(self._splat(chosen.points[one], weights, later_m, pixel[one] - first, axis, bins))
             mine = np.delete(mine, now)
         return sum(total[0] for total in totals), sum(total[1] for total in totals)
 
@@ -235,8 +210,7 @@ class _HiddenPart:
         weights: NDArray[np.float64],
         later_m: NDArray[np.float64],
         pixels: NDArray[np.int64],
-        first: int,
-        places: PixelBins,
+        axis: TimeAxis,
         bins: mi.Float,
     ) -> tuple[float, float]:
         """Add all lights at points (N, 2) to N different pixels, with paths that are `later_m` longer."""
@@ -259,9 +233,8 @@ class _HiddenPart:
             dr.opaque(mi.UInt32, len(lights)),
             arrays.upload(weights),
             arrays.upload(later_m),
-            places.begin(pixels, first),
-            places.low(pixels),
-            places.axis,
+            arrays.upload_indices(pixels) * axis.count,
+            axis,
             bins,
         )
         dr.eval(bins, totals)
