@@ -173,7 +173,7 @@ def _train_for(
     else:
         has_sensor = _settings({}, {}, *chosen).augmentation.camera is not None
         if not preset.is_one_corner:
-            before = {"input": {"channels": {"kind": "turned-residual+wall"}}}
+            before = {"input": {"channels": {"kind": "residual+wall+rays"}}}
         if has_sensor:  # the waves of a real one change the phases by more than the hidden light does
             before |= {"augmentation": {"camera": {"empty_corner": True}}}
         own = sorted({*_OF_A_NETWORK} & {*data, *given})

@@ -18,11 +18,12 @@ from itof import SubpixelWeights, network_channels, residual_channels, weighted_
 from itof.frequency_images import Slopes
 from itof.wall.expected_wall import ExpectedWall
 from itof.wall.self_calibration import calibrate
+from itof.wall.turned_axes import turned_rays
 from itof.wall.turned_reference import brightness_of_wall
-from itof.wall.turned_view import turned_rays
 from itof.wall.wall_fit import WallFit
 from model.settings.input import Channels, Reference
 
+RAYS: Final = 3  # channels of the rays, the last ones: right, down, forward
 # Images whose references are found at once, which takes many times the memory of their phasors.
 IMAGES_AT_ONCE: Final = 16
 
@@ -49,8 +50,8 @@ class InputSpec:
     that show something else than the wall, or its edge, because the camera of some corners sees the middle
     wall.
 
-    ``turned-residual+wall``: the same for a network that sees another view of them: three more channels are
-    the rays of the pixels in the axes of that view (`itof.wall.turned_view`).
+    ``residual+wall+rays``: three more, the rays of the pixels in axes that depend on the wall, in which most
+    corners look alike (`itof.wall.turned_axes`). Such a network sees images of any size.
 
     Attributes
     ----------
@@ -118,9 +119,9 @@ class InputSpec:
         return "wall" in self.channels
 
     @property
-    def is_turned(self) -> bool:
-        """Whether the network carries the images to the view of a camera that is turned to the wall."""
-        return self.channels.startswith("turned")
+    def shows_rays(self) -> bool:
+        """Whether there are the channels of the rays."""
+        return "rays" in self.channels
 
     @property
     def self_calibrates(self) -> bool:
@@ -134,9 +135,9 @@ class InputSpec:
 
     @property
     def channel_count(self) -> int:
-        """C, the number of input channels, without the rays of the pixels."""
+        """C, the number of input channels."""
         paper = self._paper_count if "paper" in self.channels else 0
-        return paper + len(self.residual_scale) + self.shows_wall
+        return paper + len(self.residual_scale) + self.shows_wall + RAYS * self.shows_rays
 
     @property
     def residual_channels(self) -> tuple[int, int]:
@@ -146,7 +147,7 @@ class InputSpec:
     @property
     def reference_count(self) -> int:
         """Values of a pixel in a reference of `reference_for`; 0 if `apply` needs none."""
-        return len(self.frequencies_hz) + self.shows_wall + self.is_turned if self.uses_residual else 0
+        return len(self.frequencies_hz) + self.shows_wall + self.shows_rays if self.uses_residual else 0
 
     @property
     def _paper_count(self) -> int:
@@ -180,9 +181,9 @@ class InputSpec:
 
         The direct return of the wall, (H, W, F). With ``self`` and ``self+wiggling`` it is moved to the wall
         and phases that each image shows (`itof.wall.self_calibration`), (..., H, W, F). With the channel of
-        the wall its inverse distance, 1/m, follows, (..., H, W, F + 1). For a turned network, the imaginary
-        part of that is the forward part of the pixel's ray in the axes of its view, and one more value has
-        its parts to the right (real) and down (imaginary), (..., H, W, F + 2).
+        the wall its inverse distance, 1/m, follows, (..., H, W, F + 1). With the rays, the imaginary part of
+        that is the forward part of the pixel's ray, and one more value has its parts to the right (real) and
+        down (imaginary), (..., H, W, F + 2).
 
         Parameters
         ----------
@@ -202,7 +203,7 @@ class InputSpec:
         xp = array_namespace(direct)
         inverse = xp.astype(fit.inverse_distance_per_m(wall), direct.dtype)
         rest = [inverse]
-        if self.is_turned:
+        if self.shows_rays:
             right, down, forward = xp.unstack(turned_rays(fit.plane_per_m, wall.rays_by_axis), axis=-3)
             rest = [inverse + 1j * forward, right + 1j * down]
         return xp.concat([direct, xp.astype(xp.stack(rest, axis=-1), direct.dtype)], axis=-1)
@@ -217,7 +218,7 @@ class InputSpec:
         return reference[..., :count], reference[..., count:]
 
     def apply(self, phasor: Any, reference: Any = None, *, is_weighted: bool = False) -> Any:
-        """Input channels (..., C, H, W) of phasors (..., H, W, F); for a turned network, 3 more: its rays.
+        """Input channels (..., C, H, W) of phasors (..., H, W, F).
 
         Parameters
         ----------
@@ -250,7 +251,7 @@ class InputSpec:
                 mean, spread = self.wall_scale_per_m
                 wall = xp.astype((xp.real(rest[..., 0]) - mean) / spread, xp.float32)  # (..., H, W)
                 parts.append(wall[..., None, :, :])
-            if self.is_turned:
+            if self.shows_rays:
                 ray = [xp.real(rest[..., 1]), xp.imag(rest[..., 1]), xp.imag(rest[..., 0])]
                 parts.append(xp.astype(xp.stack(ray, axis=-3), xp.float32))
         return xp.concat(parts, axis=-3)

@@ -10,11 +10,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.network.bounce_images import PLANES, BounceImages
-from model.network.turned_view import TurnedView, upright
+from model.network.ray_channels import answered, seen
 
 LEVELS = 5  # of the encoder of the paper's network, with four poolings between them
 HEAD_CHANNELS = (16, 8, 4)  # then the output
-LARGEST = 6.0  # standard deviations of a turned channel: edges of other surfaces have a hundred
 UNCERTAINTY_CHANNELS = (16, 8)  # then the logarithm of the depth's error
 
 
@@ -44,9 +43,8 @@ class UNet(nn.Module):
     *Images.* With `images`, there are more input channels: images that a linear inverse of the three bounces
     makes from the others (`model.network.bounce_images`).
 
-    *Turned.* With `turned`, three more channels come last: the rays of the pixels. The images are carried to
-    the view of a camera that is turned to the wall, with a channel that says where they are known; the
-    outputs are carried back (`model.network.turned_view`).
+    *Rays.* With `rays`, the last three channels are the rays of the pixels; large images are averaged to
+    fewer pixels, and outputs are interpolated to theirs (`model.network.ray_channels`).
 
     *Padding.* An image size that is not a multiple of 16 blocks (8 with four levels) is padded to the next
     multiple and the output is cropped. The padding is divided as evenly as possible between the two sides, so
@@ -71,7 +69,7 @@ class UNet(nn.Module):
     block : pixels per side of a position of the U-Net, at least 1.
     uncertainty : whether there is the second head.
     images : makes images of the input channels; None for a network without them.
-    turned : whether it sees another view of the images.
+    rays : whether the last three channels are rays.
     generator : random generator of the initial weights; None for PyTorch's global one.
 
     Raises
@@ -95,7 +93,7 @@ class UNet(nn.Module):
         block: int = 1,
         uncertainty: bool = False,
         images: BounceImages | None = None,
-        turned: bool = False,
+        rays: bool = False,
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
@@ -105,13 +103,11 @@ class UNet(nn.Module):
                 f"width of {width}, {levels} levels and blocks of {block} pixels"
             )
         self.levels, self.negative_slope, self.block, self.images = levels, negative_slope, block, images
-        self.turned = TurnedView() if turned else None
+        self.rays = rays
         widths = [width * 2**level for level in range(levels)]
         self.encoder = nn.ModuleList(
             self._two_convolutions(before, after)
-            for before, after in pairwise(
-                [(input_channels + (PLANES if images else 0) + turned) * block**2, *widths]
-            )
+            for before, after in pairwise([(input_channels + (PLANES if images else 0)) * block**2, *widths])
         )
         deepest_first = widths[::-1]
         self.upsampling = nn.ModuleList(
@@ -128,14 +124,11 @@ class UNet(nn.Module):
 
     def forward(self, channels: Tensor) -> Tensor:
         """(N, C', H, W) output channels from (N, C, H, W) input channels, that of the uncertainty last."""
-        if self.turned is None:
+        if not self.rays:
             return self._outputs(channels)
-        with torch.autocast(channels.device.type, enabled=False):
-            images, rays = channels[:, :-3].clamp(-LARGEST, LARGEST), upright(channels[:, -3:])
-            seen = self.turned.of_camera(images, rays)
-        output = self._outputs(seen.contiguous(memory_format=torch.channels_last))
-        with torch.autocast(channels.device.type, enabled=False):
-            return self.turned.to_camera(output, rays)
+        images, looks_left = seen(channels)
+        output = self._outputs(images.contiguous(memory_format=torch.channels_last))
+        return answered(output, looks_left, (channels.shape[-2], channels.shape[-1]))
 
     def _outputs(self, channels: Tensor) -> Tensor:
         height, width = channels.shape[-2:]

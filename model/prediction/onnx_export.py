@@ -19,8 +19,9 @@ from pydantic import TypeAdapter
 from disk import NightError, PathLike, whole_file
 from disk.extras import need
 from itof import pixel_rays
-from itof.wall.turned_view import turned_rays
+from itof.wall.turned_axes import turned_rays
 from model.device import plain_memory_errors
+from model.network.channels import RAYS
 from model.network.unet import UNet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunConfig
@@ -177,10 +178,11 @@ def _compare(file: Path, network: UNet, config: RunConfig) -> OnnxCheck:
 def _smooth_channels(count: int, config: RunConfig, generator: torch.Generator) -> torch.Tensor:
     """(count, C, H, W) random fields, interpolated between values COARSE pixels apart; rays where needed."""
     size = (config.image_height, config.image_width)
+    own = config.inputs.channel_count - RAYS * config.inputs.shows_rays
     coarse = [2 + pixels // COARSE for pixels in size]  # with a value at both borders
-    values = torch.randn(count, config.inputs.channel_count, *coarse, generator=generator)
+    values = torch.randn(count, own, *coarse, generator=generator)
     fields = torch.nn.functional.interpolate(values, size=size, mode="bilinear", align_corners=True)
-    if not config.inputs.is_turned:
+    if not config.inputs.shows_rays:
         return fields
     view = config.geometry
     rays = np.moveaxis(pixel_rays(*size[::-1], view.horizontal_fov_deg), -1, 0)

@@ -164,7 +164,7 @@ class Predictor:
         if z.shape[-3:] != self._image_shape or not z.size:
             raise InputError(
                 f"expected phasors of shape {self._image_shape} (H, W, F), or several such images, got "
-                f"{z.shape}" + (" (for_size reads other sizes)" if self.config.inputs.is_turned else "")
+                f"{z.shape}" + (" (for_size reads other sizes)" if self.config.inputs.shows_rays else "")
             )
         _refuse_not_phasors(z, "the measurement")
 

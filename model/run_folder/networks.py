@@ -102,7 +102,7 @@ class Network:
             frequencies_hz=config.inputs.frequencies_hz,
             fields_of_view_deg=config.trained_views_deg,
             wall_shift_m=config.inputs.largest_shift_m,
-            any_size=config.inputs.is_turned,
+            any_size=config.inputs.shows_rays,
             needs_capture=config.inputs.needs_capture,
             is_of_camera=augmentation.camera is not None,
             noise=max(augmentation.noise_sigma, augmentation.largest_noise_sigma),

@@ -128,7 +128,7 @@ class RunConfig:
 
     def reads(self, width: int, height: int) -> bool:
         """Whether the network can see images of so many pixels."""
-        return self.inputs.is_turned or (width, height) == (self.image_width, self.image_height)
+        return self.inputs.shows_rays or (width, height) == (self.image_width, self.image_height)
 
     @property
     def readout(self) -> Readout:
@@ -176,7 +176,7 @@ class RunConfig:
             block=sizes.block,
             uncertainty=self.settings.predicts_uncertainty,
             images=images,
-            turned=self.inputs.is_turned,
+            rays=self.inputs.shows_rays,
             generator=generator,
         )
 

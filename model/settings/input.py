@@ -10,9 +10,10 @@ from pydantic.dataclasses import dataclass
 from disk.contract import DOCUMENTED
 from disk.quantities import Frequency
 
-Channels = Literal["paper", "residual", "paper+residual", "residual+wall", "turned-residual+wall"]
+Channels = Literal["paper", "residual", "paper+residual", "residual+wall", "residual+wall+rays"]
 AmplitudeDivisor = Literal["mean", "maximum"]
-TURNED_WIDTH: Final = 80  # pixels of the view to which images are turned, in which the network sees them
+SEEN_WIDTH: Final = 40  # pixels: networks that know rays average larger images to about this size
+SEEN_HEIGHT: Final = 30
 Reference = Literal["geometry", "capture", "self", "self+wiggling"]
 
 
@@ -67,11 +68,11 @@ class WallChannels:
 
 
 @dataclass(frozen=True, config=DOCUMENTED)
-class TurnedChannels:
-    """The channels residual+wall in the view of a camera that is turned to the wall. For many corners."""
+class RayChannels:
+    """The channels residual+wall, and the rays of the pixels in axes of the wall. For many corners."""
 
-    kind: Literal["turned-residual+wall"] = "turned-residual+wall"
-    """Images of any size and field of view become one view, in which most corners look alike."""
+    kind: Literal["residual+wall+rays"] = "residual+wall+rays"
+    """For images of any size."""
     reference: Literal["self", "self+wiggling"] = "self"
     """As for the channels residual+wall."""
 
@@ -81,7 +82,7 @@ class InputSettings:
     """What the network sees."""
 
     channels: Annotated[
-        PaperChannels | ResidualChannels | PaperAndResidualChannels | WallChannels | TurnedChannels,
+        PaperChannels | ResidualChannels | PaperAndResidualChannels | WallChannels | RayChannels,
         Field(discriminator="kind"),
     ] = ResidualChannels()
     """Set of input channels."""

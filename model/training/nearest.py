@@ -47,7 +47,7 @@ def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
     found = {name: read_config(run) for name, run in shipped_runs().items()}
     of_size = {n: each for n, each in found.items() if _block(each, preset)}
     fitting = {
-        n: each for n, each in of_size.items() if each.inputs.is_turned or each.inputs.shows_wall != corner
+        n: each for n, each in of_size.items() if each.inputs.shows_rays or each.inputs.shows_wall != corner
     }
     fitting = {n: each for n, each in fitting.items() if _knows(each, preset) or _is_at_others(each, preset)}
     if not fitting:
@@ -71,7 +71,7 @@ def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
     own = f"{config.image_width}x{config.image_height} pixels"
     part = "a whole part" if config.image_width < camera.width else "a multiple"
     where = f"images of {own}" + ("" if own == size else f", {part} of {size}")
-    where = "images of any size" if config.inputs.is_turned else where
+    where = "images of any size" if config.inputs.shows_rays else where
     own_hz = config.inputs.frequencies_hz
     why = f"the training starts from {name}, which is for {corners}, {megahertz(*own_hz)} and {where}"
     why += "" if knows else f"; {megahertz(*hz)} begin with the weights of the nearest of these"
@@ -92,7 +92,7 @@ def _is_at_others(config: RunConfig, preset: Preset) -> bool:
 
 def _block(config: RunConfig, preset: Preset) -> int:
     """The block with which the network has as many positions for a preset's images; 0 if there is none."""
-    if config.inputs.is_turned:
+    if config.inputs.shows_rays:
         return config.settings.network.block
     camera, own = preset.camera, config.settings.network.block
     block, rest = divmod(own * camera.width, config.image_width)

@@ -71,7 +71,7 @@ def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> 
     if settings.input.bounce_images and not dataset.preset.is_one_corner:
         raise TrainingError(
             f"each scene of {dataset.root} has its camera elsewhere (camera_spread), and bounce_images are "
-            "for one corner: take --channels turned-residual+wall, or --set "
+            "for one corner: take --channels residual+wall+rays, or --set "
             "input.channels.bounce_images=false"
         )
 
@@ -127,7 +127,7 @@ def refuse_preset(
     if problem is None and sample_scene(preset, 0).room_reflects:
         problem = f"{source} has a [room] that reflects, which fresh scenes have not: render a dataset of it"
     if problem is None and settings.input.bounce_images and not preset.is_one_corner:
-        problem = f"{source} is of many corners (camera_spread): take --channels turned-residual+wall"
+        problem = f"{source} is of many corners (camera_spread): take --channels residual+wall+rays"
     if problem is None and camera is not None:
         frequencies_hz = settings.input.frequencies_hz or preset.itof.frequencies_hz
         size = lens.width, lens.height

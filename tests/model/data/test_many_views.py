@@ -180,12 +180,12 @@ def test_a_network_learns_resumes_and_is_judged_on_many_views(views, run, tmp_pa
     np.testing.assert_allclose(found[0].radial_depth_m, alone.radial_depth_m, rtol=1e-5)
 
 
-def test_a_turned_network_reads_images_of_any_size(views, tmp_path):
+def test_a_network_that_knows_rays_reads_images_of_any_size(views, tmp_path):
     """It learns and resumes as others do; images of other cameras, with more pixels, are judged."""
-    turned = SHOWN | {"channels": "turned-residual+wall", "max_epochs": 2}
-    run = train_on_one_thread(views, tmp_path / "run", **turned)
-    train(views, tmp_path / "parts", settings(**turned | {"max_epochs": 1}))
-    train(views, tmp_path / "parts", settings(**turned), resume=True)
+    knowing = SHOWN | {"channels": "residual+wall+rays", "max_epochs": 2}
+    run = train_on_one_thread(views, tmp_path / "run", **knowing)
+    train(views, tmp_path / "parts", settings(**knowing | {"max_epochs": 1}))
+    train(views, tmp_path / "parts", settings(**knowing), resume=True)
     assert_same_end(tmp_path / "parts", run)
     large = write_synthetic_dataset(tmp_path / "large", count=8, width=96, height=60, camera_spread=SPREAD)
     report = evaluate(run, large, tmp_path / "report", device="cpu", progress=False)

@@ -1,8 +1,7 @@
-"""The view of a camera that is turned to a fixed angle to the relay wall: in it, most corners look alike.
+"""Axes of a camera that is turned to a fixed angle to the relay wall: in them, most corners look alike.
 
 The hidden light depends on places of the wall, not on the pixels that see them. A camera that turns at its
-place sees the same light along the same rays. So an image of any corner can be carried to the view in which
-the camera has a fixed angle to its wall (a homography of its pixels); light and radial depths stay the same.
+place sees the same light along the same rays. So rays in these axes say where a pixel looks in any corner.
 
 Arrays may be of numpy or of any other library that supports the array API standard.
 """
