@@ -15,9 +15,7 @@ from array_api_compat import array_namespace, device
 
 from itof.arrays import A
 
-TURN_DEG: Final = (
-    41.0  # between the turned camera and the normal of the wall, about that of the paper's corner
-)
+TURN_DEG: Final = 41.0  # from the direction straight to the wall, about that of the paper's camera
 
 
 def turned_rays(plane_per_m: A, rays_by_axis: A) -> A:

@@ -51,7 +51,7 @@ class InputSpec:
     wall.
 
     ``residual+wall+rays``: three more, the rays of the pixels in axes that depend on the wall, in which most
-    corners look alike (`itof.wall.turned_axes`). Such a network sees images of any size.
+    corners look alike (`itof.wall.turned_axes`). Such a network sees images of several sizes.
 
     Attributes
     ----------

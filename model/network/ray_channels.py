@@ -1,4 +1,4 @@
-"""Channels with the rays of the pixels, for networks that see images of any size and of any corner."""
+"""Channels with the rays of the pixels, for networks that see images of several sizes and of any corner."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from model.network.channels import RAYS
-from model.settings.input import SEEN_HEIGHT, SEEN_WIDTH
+from model.settings.input import averaged_over
 
 LARGEST: Final = 6.0  # standard deviations of a channel: those at edges of other surfaces have a hundred
 
@@ -17,14 +17,14 @@ LARGEST: Final = 6.0  # standard deviations of a channel: those at edges of othe
 def seen(channels: Tensor) -> tuple[Tensor, Tensor]:
     """Channels (N, C, H, W) as the U-Net sees them, (N, C, h, w), and (N, 1, 1, 1) which are turned half.
 
-    Values are bounded. Large images are averaged to about 40 x 30 pixels, because hidden light is smooth. The
-    rays go to the right along the wall in each image: one whose camera looks to the left is turned half.
+    Values are bounded. Large images are averaged to about 40 pixels a row: hidden light is smooth. The rays
+    go to the right along the wall in each image: one whose camera looks to the left is turned half.
     """
     height, width = channels.shape[-2:]
     x = torch.cat([channels[:, :-RAYS].clamp(-LARGEST, LARGEST), upright(channels[:, -RAYS:])], dim=1)
-    less = max(1, min(width // SEEN_WIDTH, height // SEEN_HEIGHT))
+    less = averaged_over(width)
     if less > 1:
-        x = functional.interpolate(x, (height // less, width // less), mode="area")
+        x = functional.interpolate(x, (max(1, height // less), width // less), mode="area")
     right = x[:, -RAYS]
     looks_left = (right[:, 0, -1] < right[:, 0, 0])[:, None, None, None]
     return torch.where(looks_left, x.flip((-2, -1)), x), looks_left

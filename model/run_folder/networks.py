@@ -61,7 +61,7 @@ class Network:
     width, height : of its images, pixels.
     fields_of_view_deg : smallest and largest horizontal field of view of its training.
     wall_shift_m : how far from its expected wall it knows walls, mean along the rays, metres; 0: one corner.
-    any_size : whether it also reads images of other sizes.
+    any_size : whether it also reads images of several times this size.
     needs_capture : whether it needs a capture of the empty corner.
     is_of_camera : whether a modelled camera measured its training scenes.
     noise : of its training scenes, relative to the amplitude; the largest.
@@ -135,7 +135,8 @@ def table(found: Sequence[Network]) -> str:
 def _cells(network: Network) -> Iterator[str]:
     least_deg, most_deg = network.fields_of_view_deg
     yield network.name
-    yield "any" if network.any_size else f"{network.width}x{network.height}"
+    size = f"{network.width}x{network.height}"
+    yield f"{size} and multiples" if network.any_size else size
     yield megahertz(*network.frequencies_hz).removesuffix(" MHz")
     yield f"{least_deg:.4g} deg" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g} deg"
     place = f"within {length(network.wall_shift_m)}" if network.wall_shift_m else "in one place"

@@ -27,6 +27,7 @@ from model.network.readout import Readout
 from model.network.unet import UNet
 from model.run_folder.shipped import run_folder, shipped_runs
 from model.settings.fresh import FreshScenes
+from model.settings.input import averaged_over
 from model.settings.target import ComponentsTarget, MaskAndDepthTarget
 from model.settings.train_settings import MAY_CHANGE_ON_RESUME, TrainSettings, flat_settings, plain_settings
 
@@ -38,6 +39,9 @@ _REPAIR: Final = "take the file from a copy of the run, or train again"
 Pixels = Annotated[int, Field(ge=1, le=2**16)]
 Metres = Annotated[float, Field(gt=0, le=1000)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+_LEAST_SEEN = 0.8  # of the pixels in a row of the training: more than fields of view change their size
 
 
 class RunError(NightError):
@@ -127,8 +131,14 @@ class RunConfig:
         return self.fields_of_view_deg or (one_deg, one_deg)
 
     def reads(self, width: int, height: int) -> bool:
-        """Whether the network can see images of so many pixels."""
-        return self.inputs.shows_rays or (width, height) == (self.image_width, self.image_height)
+        """Whether the network can see images of so many pixels.
+
+        One that knows rays sees means of blocks, whose number in a row must be about that of the training.
+        """
+        if not self.inputs.shows_rays:
+            return (width, height) == (self.image_width, self.image_height)
+        ours, theirs = (count // averaged_over(count) for count in (width, self.image_width))
+        return _LEAST_SEEN * theirs <= ours <= theirs / _LEAST_SEEN
 
     @property
     def readout(self) -> Readout:

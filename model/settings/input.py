@@ -12,9 +12,13 @@ from disk.quantities import Frequency
 
 Channels = Literal["paper", "residual", "paper+residual", "residual+wall", "residual+wall+rays"]
 AmplitudeDivisor = Literal["mean", "maximum"]
-SEEN_WIDTH: Final = 40  # pixels: networks that know rays average larger images to about this size
-SEEN_HEIGHT: Final = 30
+_SEEN_WIDTH: Final = 40  # pixels
 Reference = Literal["geometry", "capture", "self", "self+wiggling"]
+
+
+def averaged_over(width: int) -> int:
+    """Side of the blocks, pixels, whose means a network that knows rays sees of images of so many pixels."""
+    return max(1, width // _SEEN_WIDTH)
 
 
 @dataclass(frozen=True, config=DOCUMENTED)
@@ -72,7 +76,7 @@ class RayChannels:
     """The channels residual+wall, and the rays of the pixels in axes of the wall. For many corners."""
 
     kind: Literal["residual+wall+rays"] = "residual+wall+rays"
-    """For images of any size."""
+    """Also for images of several times the training's size, of which it sees means."""
     reference: Literal["self", "self+wiggling"] = "self"
     """As for the channels residual+wall."""
 

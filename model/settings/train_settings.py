@@ -14,7 +14,7 @@ from disk import PresetError
 from disk.contract import DOCUMENTED, checked_data
 from disk.quantities import NotNegative, Positive, WholeCount
 from model.settings.augmentation import AugmentationSettings
-from model.settings.input import SEEN_WIDTH, InputSettings, PaperChannels, RayChannels
+from model.settings.input import InputSettings, PaperChannels, RayChannels, averaged_over
 from model.settings.keys import merged, wrong_key
 from model.settings.run import RunSettings
 from model.settings.target import MaskAndDepthTarget, TargetSettings
@@ -129,7 +129,7 @@ class TrainSettings:
     def for_images(self, width: int) -> TrainSettings:
         """These settings with the number for which a block of 0 stands, for images of so many pixels."""
         if isinstance(self.input.channels, RayChannels):
-            width //= max(1, width // SEEN_WIDTH)
+            width //= averaged_over(width)
         return replace(self, network=replace(self.network, block=self.network.block_for(width)))
 
 

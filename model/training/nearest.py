@@ -71,7 +71,7 @@ def nearest_network(preset: Preset, *, has_sensor: bool) -> Nearest:
     own = f"{config.image_width}x{config.image_height} pixels"
     part = "a whole part" if config.image_width < camera.width else "a multiple"
     where = f"images of {own}" + ("" if own == size else f", {part} of {size}")
-    where = "images of any size" if config.inputs.shows_rays else where
+    where = "images of several sizes" if config.inputs.shows_rays else where
     own_hz = config.inputs.frequencies_hz
     why = f"the training starts from {name}, which is for {corners}, {megahertz(*own_hz)} and {where}"
     why += "" if knows else f"; {megahertz(*hz)} begin with the weights of the nearest of these"
