@@ -2,7 +2,8 @@
 
 A scene pair is a scene and its mirrored scene, with all files written. Each scene is rendered once before it
 is measured, because the first time compiles its kernels. The median of --repeats renders is printed. With
-`transient`, each scene is also rendered to phasors alone, for the ratio of both in one run. Run:
+`transient`, each scene is also rendered to phasors alone, for the ratio of both in one run. A pair is a light
+and a node of the lattice of curves over time; the limit is the shadow rays of the same pairs. Run:
 
     .venv/bin/python benchmarks/render_cost.py itof
     .venv/bin/python benchmarks/render_cost.py transient
@@ -27,6 +28,7 @@ from render.rendering import Renderer
 from render.settings import RenderSettings
 from render.transport import many_light
 from render.transport.many_light import make_field
+from render.transport.passes import hidden_curves
 from scenegen import Dataset
 
 SIZES = tuple((4 * n, 3 * n) for n in (10, 20, 40, 80, 160, 320))
@@ -106,12 +108,56 @@ def pairs(scenes: list[tuple[str, Dataset, str]], given: argparse.Namespace) -> 
         found = measured(dataset, scene_id, settings_of(given), given.repeats)
         if given.what == "itof":
             return found
-        seconds = found["CPU seconds"]
-        found = measured(dataset, scene_id, settings_of(given, product="both"), given.repeats)
+        seconds, curves = found["CPU seconds"], CurvePairs()
+        with patch.object(hidden_curves, "_curves_at", curves.counted):
+            found = measured(dataset, scene_id, settings_of(given, product="both"), given.repeats)
         ratio = float(found["CPU seconds"]) / float(seconds)
-        return found | {"CPU seconds of phasors": seconds, "ratio": f"{ratio:.1f}"}
+        found |= {"CPU seconds of phasors": seconds, "ratio": f"{ratio:.1f}"}
+        return found | {
+            "million pairs": f"{curves.pairs / given.repeats / 1e6:.2f}",
+            "million a CPU second": f"{curves.pairs / curves.seconds / 1e6:.1f}",
+            "limit": f"{curves.limit / 1e6:.1f}",
+        }
 
     print_table("scene", ((name, row(*scene)) for name, *scene in scenes))
+
+
+class CurvePairs:
+    """Counts the pairs of curves over time, their CPU seconds, and shadow rays a CPU second."""
+
+    def __init__(self) -> None:
+        self.pairs, self.seconds, self.limit, self.curves_at = 0, 0.0, 0.0, hidden_curves._curves_at
+
+    def counted(self, scene: Any, nodes: Any, field: Any, *given: Any) -> Any:
+        """The curves at `nodes`."""
+        began = time.process_time()
+        curves = self.curves_at(scene, nodes, field, *given)
+        if self.limit:
+            self.pairs += len(nodes) * len(field.lights)
+            self.seconds += time.process_time() - began
+        else:  # the first call compiles
+            self.limit = max(self.shadow_rays(scene, nodes, field.lights) for _ in range(3))
+        return curves
+
+    def shadow_rays(self, scene: Any, nodes: Any, lights: Any) -> float:
+        """Shadow rays between the nodes on the wall and the lights, a CPU second."""
+        import drjit as dr
+        import mitsuba as mi
+
+        from render.transport.kernels import arrays, rays
+
+        x, y = (arrays.upload(column) for column in nodes.T)
+        wall, light = rays.camera_hits(scene, x, y).p, arrays.upload_points(lights.position)
+        pair = dr.arange(mi.UInt32, len(nodes) * len(lights))
+        count = dr.opaque(mi.UInt32, len(lights))
+        start = dr.gather(mi.Point3f, light, pair % count)
+        way = dr.gather(mi.Point3f, wall, pair // count) - start
+        dr.eval(start, way)
+        dr.sync_thread()
+        began = time.process_time()
+        dr.eval(scene.ray_test(mi.Ray3f(start, way, 0.999, 0.0, [])))
+        dr.sync_thread()
+        return len(nodes) * len(lights) / (time.process_time() - began)
 
 
 def growth(name: str, dataset: Dataset, scene_id: str, given: argparse.Namespace) -> None:
