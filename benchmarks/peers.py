@@ -66,8 +66,10 @@ def main() -> None:
     parser.add_argument("--errors", type=float, nargs="+", default=[0.01, 0.002], help="of many-light")
     parser.add_argument("--lasers", nargs="+", default=["8x6:132", "8x6:528"], help="nodes: paths a pixel")
     parser.add_argument("--spot", action="store_true", help="0.2 degrees wide, instead of the flash")
-    parser.add_argument("--turns", type=int, default=4, help="that count, default 4")
+    parser.add_argument("--turns", type=int, default=4, help="that count, default 4; at least 2")
     given = parser.parse_args()
+    if given.turns < 2:
+        parser.error("bias and noise need 2 turns at least")
     variant = select_variant("cpu")
     width, height = map(int, given.size.split("x"))
     data: dict[str, Any] = {"dataset": {"count": 7}, "relay_wall": {"material": "diffuse"}}
