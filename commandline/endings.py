@@ -28,6 +28,7 @@ from disk import NightError
 _DEFECT = 70  # EX_SOFTWARE of sysexits.h
 _REPORT_IT = "This is a defect of NIGHT {}: please report it with the text above (see CONTRIBUTING.md)."
 _NEARLY = 0.8  # of the letters of a misspelt command
+_OURS = ("scenegen", "itof", "render", "model")  # rooms whose log a command shows
 _OUTPUTS = ("out", "dataset")  # parameters that name where a command writes, the first that it has
 
 
@@ -35,6 +36,11 @@ class Refusal(click.ClickException):
     """A one-sentence error with exit code 2."""
 
     exit_code = 2
+
+
+def _is_shown(record: logging.LogRecord) -> bool:
+    """Whether a record of the log is for the user: libraries only when something is wrong."""
+    return record.levelno >= logging.WARNING or record.name.split(".")[0] in _OURS
 
 
 @contextmanager
@@ -102,6 +108,8 @@ class NightCommand(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Do the work."""
         logging.basicConfig(level=logging.INFO, format="%(message)s")
+        for handler in logging.getLogger().handlers:
+            handler.addFilter(_is_shown)
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` makes it
                 signal.signal(number, lambda code, _: sys.exit(128 + code))  # so that `finally` runs

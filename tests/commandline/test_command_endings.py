@@ -1,16 +1,18 @@
 """The sentences of errors of the system: they name the file and say what to do."""
 
+import logging
 import os
 from errno import EACCES, EDQUOT, EMFILE, ENOENT, ENOMEM, ENOSPC, EROFS
 from resource import RLIMIT_NOFILE, getrlimit
 
 import pytest
-from night_commands import refusal
+from night_commands import night_here, refusal
 
 import commandline.evaluation
 import commandline.rendering
 import commandline.scenes
 import commandline.training
+from disk import NightError
 
 
 def fail_with(monkeypatch, error):
@@ -53,6 +55,20 @@ def test_too_many_open_files_are_told_with_their_limit(monkeypatch):
     limit = getrlimit(RLIMIT_NOFILE)[0]
     sentence = refusal("night-render", "status", "data")
     assert sentence == f"x: Too many open files: raise the limit of {limit} (ulimit -n) and start again"
+
+
+def test_a_command_shows_its_own_log_and_of_libraries_only_what_is_wrong(monkeypatch):
+    def open_dataset(_):
+        for name in ("fontTools.subset", "render.run"):
+            logging.getLogger(name).info("%s says something", name)
+            logging.getLogger(name).warning("%s warns", name)
+        raise NightError("the end")
+
+    monkeypatch.setattr(commandline.rendering, "open_dataset", open_dataset)
+    shown = night_here("night-render", "status", "data").stderr.splitlines()
+    assert shown == [
+        *("fontTools.subset warns", "render.run says something", "render.run warns", "Error: the end")
+    ]
 
 
 @pytest.mark.parametrize(
