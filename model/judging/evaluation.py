@@ -55,6 +55,7 @@ def evaluate(
     ``table.txt``       summary as text
     ``summary.md``      summary as Markdown
     ``tables.tex``      all tables as LaTeX
+    ``references.bib``  what to cite, for BibTeX
     ``figures/``        pictures of scenes: ``best``, ``median``, ``worst``, and several in ``scenes`` and
                         ``point_clouds``; charts of the page; each as ``.png`` and ``.pdf``
     ``film.gif``        truth beside prediction over time; of a sequence only

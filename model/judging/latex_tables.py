@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from importlib.metadata import version
 from typing import Final
 
 from disk.counted import counted
 from model.judging.results import Report
+
+# What CITATION.cff says.
+REFERENCES: Final = """\
+@inproceedings{caligiuri2024night,
+  title = {{NIGHT} - Non-Line-of-Sight Imaging from Indirect Time of Flight Data},
+  author = {Caligiuri, Matteo and Simonetto, Adriano and Zanuttigh, Pietro},
+  booktitle = {European Conference on Computer Vision (ECCV) Workshops},
+  year = {2024},
+  note = {arXiv:2403.19376}
+}
+
+@misc{night,
+  title = {{NIGHT}: seeing around a corner with an {iToF} camera},
+  author = {{The NIGHT developers}},
+  note = {Version VERSION}
+}
+""".replace("VERSION", version("night-nlos"))
 
 _ESCAPED: Final = str.maketrans(
     {

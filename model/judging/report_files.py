@@ -17,7 +17,7 @@ from disk.plain_file import MOST_LIST_BYTES, read_plain
 from itof.metrics import Statistics
 from model.judging.calibration import Calibration
 from model.judging.groups import Group, GroupTable
-from model.judging.latex_tables import caption_of, latex_table
+from model.judging.latex_tables import REFERENCES, caption_of, latex_table
 from model.judging.results import PAPER, Report, scene_numbers
 
 REPORT_SCHEMA = 1
@@ -43,7 +43,7 @@ def files_of_report(folder: Path) -> dict[str, str | None]:
 
 
 def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
-    """Write ``metrics.csv``, ``table.txt``, ``summary.md`` and ``tables.tex``, and at last ``metrics.json``.
+    """Write the numbers and tables of a report, and at last ``metrics.json``.
 
     ``metrics.json`` lists all files in the folder `out` with their hashes, by which the next evaluation knows
     that the folder holds nothing else.
@@ -83,6 +83,7 @@ def write_files(out: Path, report: Report, origin: Mapping[str, Any]) -> None:
     write_text(out / "table.txt", report.table + "\n")
     write_text(out / "summary.md", summary_markdown(report))
     write_text(out / "tables.tex", tables_latex(report))
+    write_text(out / "references.bib", REFERENCES)
     with (
         whole_file(out / "metrics.csv") as partial,
         partial.open("w", encoding="utf-8", newline="", errors="backslashreplace") as stream,
