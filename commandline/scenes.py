@@ -101,6 +101,7 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
     PRESET is a name in data/presets, or a .toml file. A corner that cannot be is drawn, too, and then
     refused.
     """
+    from model.training.expectation import course_sentence
     from render.backend import BackendError
     from render.batch.expected_light import NO_LIGHT, expected_light
     from render.products.corner_facts import corner_facts
@@ -117,19 +118,20 @@ def corner(preset: str, out: Path | None, as_json: bool) -> None:
         raise click.BadParameter(f"{out} must end in {' or '.join(writers)}", param_hint="--out")
     settings, meshes = with_meshes(settings, Path(origin).parent)
     facts = corner_facts(settings, meshes)
-    for file in files:
-        writers[file.suffix.lower()](settings, facts, file)
     said, found = [*facts.sentences], {**facts.as_data(), "hidden_light": None}
     try:
         refuse_impossible_corner(settings, meshes)
         light = expected_light(settings, meshes)
         said.append(NO_LIGHT if light is None else light.sentence)
-        if not settings.is_sequence:
-            said.append(f"a network: `night-train --for {preset} --out RUN` says first what error to expect")
+        if light is not None and not settings.is_sequence:
+            said.append(course_sentence(100 * light.no_object_m, one_corner=settings.is_one_corner))
+            said.append(f"`night-train --for {preset} --out RUN` makes it, and measures the time here first")
         found["hidden_light"] = None if light is None else light.as_data()
     except BackendError as error:
         said.append(f"hidden light: not computed, because {error}")
     finally:
+        for file in files:
+            writers[file.suffix.lower()](settings, facts, said, file)
         tell([*said, *(f"picture: {file}" for file in files)], found, as_json)
 
 

@@ -41,11 +41,13 @@ class ExpectedLight:
         frequency.
     turns_rad : (F,) by how much the hidden light turns the phases: root mean square over the image, weighted
         with the light, median of the scenes; radians.
+    no_object_m : MAE of depth maps without an object, metres.
     """
 
     frequencies_hz: tuple[float, ...]
     shares: tuple[float, ...]
     turns_rad: tuple[float, ...]
+    no_object_m: float
 
     @classmethod
     def of_images(cls, images: LightImages, frequencies_hz: tuple[float, ...]) -> ExpectedLight:
@@ -59,7 +61,8 @@ class ExpectedLight:
         mean = (power * turns**2).sum(axis=(1, 2)) / total
         highest = int(np.argmax(frequencies_hz))
         turns_rad = np.sqrt(np.median(mean, axis=0)).tolist()
-        return cls(frequencies_hz, tuple(shares[:, highest].tolist()), tuple(turns_rad))
+        no_object_m = float(images.radial_depth_m.mean())
+        return cls(frequencies_hz, tuple(shares[:, highest].tolist()), tuple(turns_rad), no_object_m)
 
     def as_data(self) -> dict[str, Any]:
         """The numbers as plain data."""

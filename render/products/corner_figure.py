@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 _DOTS_PER_INCH = 150
 
 
-def write_corner_figure(preset: Preset, facts: CornerFacts, file: PathLike) -> None:
-    """Draw the corner of a preset from above and from the side into a PNG file.
+def write_corner_figure(preset: Preset, facts: CornerFacts, said: Sequence[str], file: PathLike) -> None:
+    """Draw the corner of a preset from above and from the side, with what is `said` of it, into a PNG file.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def write_corner_figure(preset: Preset, facts: CornerFacts, file: PathLike) -> N
     _view(side, shapes, onto, "from the side", ("into the room, m", "z, m"))
     handles, names = plan.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
-    figure.suptitle("\n".join(facts.sentences), fontsize=10)
+    figure.suptitle("\n".join(said), fontsize=10)
     with exported_file(file) as partial:
         save_png(figure, partial, _DOTS_PER_INCH)
 

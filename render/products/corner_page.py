@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -19,20 +20,20 @@ _DATA: Final = "CORNER_DATA"  # in the template
 _FILL: Final = 0.2  # opacity of faces
 
 
-def write_corner_page(preset: Preset, facts: CornerFacts, file: PathLike) -> None:
-    """Write the corner of a preset as a page that a reader turns.
+def write_corner_page(preset: Preset, facts: CornerFacts, said: Sequence[str], file: PathLike) -> None:
+    """Write the corner of a preset as a page that a reader turns, with what is `said` of it.
 
     Raises
     ------
     ExportError : `file` cannot be written.
     """
     page = (data_folder("report") / _TEMPLATE).read_text(encoding="utf-8")
-    data = json.dumps(_page_data(preset, facts), allow_nan=False).replace("<", "\\u003c")
+    data = json.dumps(_page_data(preset, facts, said), allow_nan=False).replace("<", "\\u003c")
     with exported_file(file) as partial:
         partial.write_text(page.replace(_DATA, data), encoding="utf-8")
 
 
-def _page_data(preset: Preset, facts: CornerFacts) -> dict[str, Any]:
+def _page_data(preset: Preset, facts: CornerFacts, said: Sequence[str]) -> dict[str, Any]:
     """What the page draws, as plain data: points in world axes, metres."""
     shapes = CornerShapes.of(preset, facts)
     everything = np.vstack([solid.points for solid in shapes.solids])
@@ -42,7 +43,7 @@ def _page_data(preset: Preset, facts: CornerFacts) -> dict[str, Any]:
         {**_part("camera", CAMERA, shapes.eye[None]), "width": 6.0},
     ]
     return {
-        "facts": list(facts.sentences),
+        "facts": list(said),
         "middle": _listed((low + high) / 2),
         "size": float(np.linalg.norm(high - low)),
         "parts": [

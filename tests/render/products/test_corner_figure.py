@@ -1,6 +1,7 @@
 """The picture of a corner, and the distances that it says, without any scene."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -87,7 +88,16 @@ def test_the_picture_may_be_a_page_that_loads_nothing(tmp_path, monkeypatch):
     assert page.references == ["data:,"]
     assert page.policy.startswith("default-src 'none'")
     facts = corner_facts(load_preset("paper"))
-    assert page.data["corner-data"]["facts"] == list(facts.sentences)
+    said = page.data["corner-data"]["facts"]
+    assert said[: len(facts.sentences)] == list(facts.sentences)
+    assert [each.split()[0] for each in said[len(facts.sentences) :]] == ["hidden", "a", "`night-train"]
+    network = re.fullmatch(
+        r"a network: after 3 minutes an MAE of about (.*) cm, after 44 minutes .* (.*) cm, .*: (.*) cm\)",
+        said[-2],
+    )
+    soon, later, no_object = map(float, network.groups())
+    assert (soon, later) == pytest.approx((0.266 * no_object, 0.182 * no_object), abs=0.1)
+    assert no_object == pytest.approx(8.4, abs=3)  # of 269 scenes, by the docs; 12 scatter
     gap, *_ = (each for each in page.data["corner-data"]["distances"] if "gap" in each["words"])
     assert np.linalg.norm(np.subtract(*gap["ends"])) == pytest.approx(facts.gap_m, abs=1e-4)  # as written
     lit = next(part for part in page.data["corner-data"]["parts"] if part["name"] == "seen and lit")
@@ -98,7 +108,7 @@ def test_the_picture_may_be_a_page_that_loads_nothing(tmp_path, monkeypatch):
 def test_a_browser_draws_the_page_without_an_error(tmp_path):
     file, preset = tmp_path / "corner.html", load_preset("paper")
     facts = corner_facts(preset)
-    write_corner_page(preset, facts, file)
+    write_corner_page(preset, facts, facts.sentences, file)
     parts = Page(file.read_text()).data["corner-data"]["parts"]
     document, console = browse(file, tmp_path)
     assert console == []
@@ -113,7 +123,8 @@ def test_the_share_and_the_turn_of_hidden_light_have_closed_forms():
     hidden[..., 0] = 0.002  # in phase at 20 MHz
     direct = np.ones(shape, np.complex64)
     direct[2] = 0  # this camera sees no wall
-    found = ExpectedLight.of_images(LightImages(direct, hidden, np.zeros(shape[:3]), np.zeros(3)), hz)
+    found = ExpectedLight.of_images(LightImages(direct, hidden, np.ones(shape[:3]), np.zeros(3)), hz)
+    assert found.no_object_m == 1
     assert found.shares == pytest.approx((0.005, 0.005))
     assert found.turns_rad == pytest.approx((0, np.arctan2(0.004, 1.003)), abs=1e-6)
     assert "0.5 % of the direct light, 0.5 to 0.5 in 2 drawn scenes" in found.sentence
