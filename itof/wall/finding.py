@@ -15,7 +15,8 @@ class Finding:
         ``no-wall`` (the light is not that of a wall), ``convention`` (sign, order, axes or frequency),
         ``no-hidden-light`` (too coarse, or of one depth image),
         ``wall-moved``, ``other-view`` (another field of view), ``phase-offsets``, ``scatter``,
-        ``strange-pixels``, ``dead-pixels``, ``even-amplitude``, ``saturated``,
+        ``no-capture`` (of the empty corner), ``strange-pixels``, ``dead-pixels``, ``even-amplitude``,
+        ``saturated``,
         ``unexplained`` (light that a prediction does not explain).
     sentence : the same for a reader, without a capital letter and a full stop.
     refused : whether predictions from such a measurement are useless; otherwise they are worse.

@@ -24,6 +24,9 @@ from model.settings.run import DeviceName
 from processes.progress import showing_progress
 
 OTHER_UNIT: Final = 10.0  # times the mean amplitude of the training scenes: far beyond what scenes differ by
+NO_CAPTURE: Final = (
+    "the network was trained with captures of the empty corner, and here is none: give one as reference"
+)
 MOST_REFUSED: Final = 20  # images, after which the rest is not checked: a file of noise is refused in seconds
 
 
@@ -112,6 +115,8 @@ def check_measured(
     found: list[tuple[Finding, str | None]] = []  # with the image's name; None for the reference
     if measured.reference is not None:
         found += [(finding, None) for finding in check_reference(measured.reference, seeing(0).wall)]
+    elif predictor.config.saw_captures:
+        found.append((Finding("no-capture", NO_CAPTURE, False), None))
     useless, most = sum(finding.refused for finding, _ in found), MOST_REFUSED
     if useless and not thorough:
         most = 0  # all images would be compared with a wrong reference

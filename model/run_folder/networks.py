@@ -64,6 +64,7 @@ class Network:
     any_size : whether it also reads images of several times this size.
     needs_capture : whether it needs a capture of the empty corner.
     is_of_camera : whether a modelled camera measured its training scenes.
+    saw_captures : whether it measured the empty corner, too.
     noise : of its training scenes, relative to the amplitude; the largest.
     validation_mae_cm, validation_miou : at the end of its training; None if there is no history.
     """
@@ -77,6 +78,7 @@ class Network:
     any_size: bool
     needs_capture: bool
     is_of_camera: bool
+    saw_captures: bool
     noise: float
     validation_mae_cm: float | None
     validation_miou: float | None
@@ -105,6 +107,7 @@ class Network:
             any_size=config.inputs.shows_rays,
             needs_capture=config.inputs.needs_capture,
             is_of_camera=augmentation.camera is not None,
+            saw_captures=config.saw_captures,
             noise=max(augmentation.noise_sigma, augmentation.largest_noise_sigma),
             validation_mae_cm=kept.get("validation_mae_cm"),
             validation_miou=kept.get("validation_miou"),
@@ -141,7 +144,8 @@ def _cells(network: Network) -> Iterator[str]:
     yield f"{least_deg:.4g} deg" if least_deg == most_deg else f"{least_deg:.4g} to {most_deg:.4g} deg"
     place = f"within {length(network.wall_shift_m)}" if network.wall_shift_m else "in one place"
     yield place + (", and a capture of the empty corner" if network.needs_capture else "")
-    yield "of a camera" if network.is_of_camera else f"{network.noise:g}"
+    noise = "of a camera" if network.is_of_camera else f"{network.noise:g}"
+    yield noise + (", with captures" if network.saw_captures else "")
     accuracy = network.validation_mae_cm, network.validation_miou
     yield from ("-", "-") if None in accuracy else (f"{accuracy[0]:.2f}", f"{accuracy[1]:.3f}")
 

@@ -130,6 +130,12 @@ class RunConfig:
         one_deg = self.geometry.horizontal_fov_deg
         return self.fields_of_view_deg or (one_deg, one_deg)
 
+    @property
+    def saw_captures(self) -> bool:
+        """Whether a camera measured the training scenes, and the empty corner, too."""
+        camera = self.settings.augmentation.camera
+        return camera is not None and camera.empty_corner
+
     def reads(self, width: int, height: int) -> bool:
         """Whether the network can see images of so many pixels.
 

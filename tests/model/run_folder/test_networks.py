@@ -7,6 +7,7 @@ import pytest
 from night_commands import night_here, refusal
 from synthetic_dataset import closed_form
 
+from model.prediction.measurement_check import check_file
 from model.run_folder.networks import View, Wanted, fitting, networks, readers, table, what_to_do
 from model.run_folder.run_config import read_config
 from model.run_folder.shipped import shipped_runs
@@ -39,7 +40,7 @@ def test_every_network_that_comes_with_the_program_is_listed_with_what_its_files
         assert f"{network.width}x{network.height}" in name
         assert network.frequencies_hz == MHZ
         assert (network.wall_shift_m > 0) == name.startswith("any-corner")
-        assert network.is_of_camera == name.endswith("-camera")
+        assert network.is_of_camera == network.saw_captures == name.endswith("-camera")
         card = (shipped_runs()[name] / "README.md").read_text()
         assert f"{network.width} x {network.height} pixels" in card
         least_deg, most_deg = network.fields_of_view_deg
@@ -107,6 +108,19 @@ def test_a_measurement_that_no_network_reads_is_refused_with_the_command_that_ma
     told = refusal("night-eval", "predict", "night-40x30", file, "--out", tmp_path / "out")
     assert reason in told
     assert f"; {MAKE}" in told or f": {MAKE}" in told
+
+
+def test_a_network_that_was_trained_with_captures_of_the_empty_corner_asks_for_one(tmp_path):
+    file = measurement(tmp_path, 80, 60, MHZ, 60.0)
+    held = dict(np.load(file))
+    with_capture = tmp_path / "with.npz"
+    np.savez(with_capture, **held, reference=held["phasors"])
+    asked = [
+        [finding.code for finding in check_file(run, each, device="cpu").findings].count("no-capture")
+        for run in ("night-80x60-camera", "night-80x60")
+        for each in (file, with_capture)
+    ]
+    assert asked == [1, 0, 0, 0]
 
 
 def test_a_measurement_that_another_network_reads_is_refused_with_its_name(tmp_path):
