@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen.corner_geometry import Points, corners_of
 from scenegen.mitsuba_description import hidden_names, mirrored_names, wall_names
@@ -15,7 +14,7 @@ from scenegen.pose import mirror_image
 from scenegen.scene import HiddenObject, Scene
 from scenegen.shapes import PRIMITIVES
 from scenegen.triangles import scene_triangles
-from scenegen.unit_meshes import unit_mesh, unit_mesh_of_part
+from scenegen.unit_meshes import UnitMesh, unit_mesh, unit_mesh_of_part
 
 _TOLERANCE: Final = 0.01  # of the longest side: twice what finer meshes of round primitives change
 
@@ -23,8 +22,8 @@ _TOLERANCE: Final = 0.01  # of the longest side: twice what finer meshes of roun
 def misplaced(scene: Scene, files: Mapping[str, bytes], folder: Path) -> str | None:
     """A sentence about the first mesh that is not where the scene says; None if all are.
 
-    An object fills the box of its pose, and a primitive has its centroid; a mirror image is that of the
-    object's mesh. Meshes that are missing are left to those who read them.
+    An object fills the box of its pose, and a primitive has its area and centroid; a mirror image is that of
+    the object's mesh. Meshes that are missing are left to those who read them.
 
     Raises
     ------
@@ -33,8 +32,8 @@ def misplaced(scene: Scene, files: Mapping[str, bytes], folder: Path) -> str | N
     for name, distance_m, size_m in _errors(scene, files, folder):
         if distance_m > _TOLERANCE * size_m:
             return (
-                f"{folder / name} is up to {distance_m:.2g} m from where scene.json has it, so that its "
-                "label would be wrong: change both, or neither"
+                f"{folder / name} is up to {distance_m:.2g} m from what scene.json has, so that its label "
+                "would be wrong: change both, or neither"
             )
     return None
 
@@ -70,18 +69,18 @@ def _box_error_m(part: HiddenObject, contents: bytes, origin: str) -> float:
         off = max(float(np.linalg.norm(low + high)) / 2, abs(float((high - low).max()) - 1))
         return off * float(size.max())
     off_m = np.linalg.norm(np.abs([(low + 0.5) * size, (high - 0.5) * size]).max(axis=0))
-    known = unit_mesh(part.shape)
-    moved = _centroid(found.vertices, found.triangles) - _centroid(known.vertices, known.triangles)
-    return float(max(off_m, np.linalg.norm(moved * size)))
+    area, centroid = _surface(found)
+    known_area, known_centroid = _surface(unit_mesh(part.shape))
+    grown = abs(np.sqrt(area / known_area) - 1)
+    return float(max(off_m, np.linalg.norm((centroid - known_centroid) * size), grown * size.max()))
 
 
-def _centroid(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Points:
-    """(3,) centroid of a surface."""
-    corners = vertices[triangles].astype(np.float64)  # (T, 3, 3)
+def _surface(mesh: UnitMesh) -> tuple[float, Points]:
+    """Area and centroid (3,) of a surface."""
+    corners = mesh.vertices[mesh.triangles].astype(np.float64)  # (T, 3, 3)
     sides = corners[:, 1:] - corners[:, :1]
-    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    centroid: Points = area @ corners.mean(axis=1) / max(area.sum(), 1e-300)
-    return centroid
+    areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
+    return areas.sum(), areas @ corners.mean(axis=1) / max(areas.sum(), 1e-300)
 
 
 def _farthest_m(points: Points, others: Points) -> float:

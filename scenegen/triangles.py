@@ -51,7 +51,8 @@ def read_triangles(contents: bytes, kind: str, origin: str) -> tuple[NDArray[np.
     except (MemoryError, MeshError):
         raise
     except Exception as error:  # trimesh's parsers raise errors of any class on damaged files
-        raise MeshError(f"mesh {origin} cannot be read as {kind.upper()}: {error}") from None
+        why = error if isinstance(error, ValueError) else "it is damaged, or of another format"
+        raise MeshError(f"mesh {origin} cannot be read as {kind.upper()}: {why}") from None
     if len(triangles) == 0:
         raise MeshError(f"mesh {origin} has no triangles")
     _refuse_many(len(triangles), origin)

@@ -53,9 +53,10 @@ def doubts(thing: Thing, unit: Unit | None, sides: Sides, turns: RotationRanges)
     size_m, (least_m, most_m) = mesh_size_m(unit, sides), _LIKELY_M
     if not least_m <= size_m <= most_m:
         others = {u: mesh_size_m(u, sides) for u in METRES if least_m <= mesh_size_m(u, sides) <= most_m}
+        metres = "" if unit == "m" else f", which is {size_m:.4g} m"
         said = " or ".join(f'unit = "{other}" makes it {there_m:.3g} m' for other, there_m in others.items())
         yield (
-            f"mesh {thing.file} has a longest side of {max(sides):.4g} {unit}, which is {size_m:.4g} m: "
+            f"mesh {thing.file} has a longest side of {max(sides):.4g} {unit}{metres}: "
             f"{said or 'give its size_m'} in [[object]]"
         )
 

@@ -165,6 +165,11 @@ SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
         ("ply", None, "is missing"),
         ("ply", b"", "is empty"),
         ("ply", b"hello", "cannot be read as PLY"),
+        (
+            "ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\n",
+            "cannot be read as PLY: it is damaged, or of another format",
+        ),
         ("obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 9\n", "cannot be read as OBJ"),
         ("ply", ply_of(SQUARE, [(0, 1, 9)]), "names? vertices that it does not have"),
         ("ply", exported(wedge())[:-20], "cannot be read as PLY"),
