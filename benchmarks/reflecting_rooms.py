@@ -1,7 +1,7 @@
 """What a room that reflects does to a network, without and with a capture of the empty corner.
 
-New scenes at the network's size, in a black room and in rooms of two reflectances. The capture of the empty
-corner is subtracted, and the direct return of the wall is added again: no reference does this. Run:
+New scenes at the network's size, in a black room and in rooms of two reflectances. The capture is the
+`reference` of a prediction. Run:
 
     .venv/bin/python benchmarks/reflecting_rooms.py night-80x60 judge --count 40
     .venv/bin/python benchmarks/reflecting_rooms.py any-corner-80x60 judge-any-corner --count 40
@@ -58,12 +58,14 @@ def main() -> None:
         depth_m = light.radial_depth_m
         dark = light.direct + light.hidden
         errors.setdefault("no object", []).append(no_object_metrics(depth_m, depth_m > 0))
-        seen = {"black room": dark}
+        seen, captures = {"black room": dark}, {}
         for name, (full, empty) in rooms.items():
             ratios.setdefault(name, []).append(norm(full[..., 0]) / norm(light.hidden[..., 0]))
-            seen |= {name: dark + full, f"{name}, empty corner subtracted": dark + full - empty}
+            seen |= dict.fromkeys((name, f"{name}, with a capture"), dark + full)
+            captures[f"{name}, with a capture"] = light.direct + empty
+        here = predictor.at(predictor.config.geometry.with_fov(fov_deg))
         for name, z in seen.items():
-            found = predictor.predict(z[None], fields_of_view_deg=[fov_deg])[0]
+            found = here.predict(z[None], captures.get(name))[0]
             metrics = image_metrics(found.depth, found.mask, depth_m, depth_m > 0)
             errors.setdefault(name, []).append(metrics)
     print("| measurement | room / hidden light | MAE, cm | mIoU | object MAE, cm |\n|---|---|---|---|---|")

@@ -4,13 +4,16 @@ import json
 from dataclasses import replace
 
 import pytest
+from measurements import read_here, write_npz
 from night_commands import night_here, refusal
 from synthetic_dataset import write_synthetic_dataset
 
 import model
+from itof import read_image
 from itof.sensor.cameras import load_sensor
 from model.judging.refusals import EvaluationError
 from model.judging.results import Report
+from model.prediction.fields_of_view import with_fields_of_view
 from scenegen import Dataset
 
 SMALL = {"width": 24, "height": 14}
@@ -48,6 +51,17 @@ def test_scenes_of_another_corner_are_judged_only_by_force(finished_run, tmp_pat
         model.judge_exposures(
             finished_run, data, tmp_path / "e", load_sensor("ideal"), device="cpu", progress=False
         )
+
+
+def test_a_file_in_a_dataset_has_the_field_of_view_of_its_scene(tmp_path):
+    data = scenes(tmp_path / "data", horizontal_fov_deg=70.0)
+    image, _ = read_image(data.render_folder("000001") / "itof.exr").phasors()
+    known = []
+    for folder in (data.render_folder("000001"), tmp_path):
+        measured = read_here(write_npz(folder / "alone.npz", phasors=image))
+        measured = with_fields_of_view(measured, None)
+        known.append(measured.fields_of_view_deg)
+    assert known == [(70.0,), ()]
 
 
 def test_what_the_training_has_not_seen_stands_in_the_report(finished_run, tmp_path):
