@@ -26,6 +26,7 @@ from disk.night_error import NightError
 from disk.path_like import PathLike
 from disk.plain_file import MOST_LIST_BYTES, read_plain, read_text
 from disk.quantities import ClassName
+from disk.told import Told
 from disk.whole_writing import write_text
 from scenegen.preset import Preset
 from scenegen.render_folder import Sha256
@@ -90,15 +91,20 @@ class DatasetIndex:
             raise ValueError("a scene has no sha256")
 
 
-@plain_dataclass(frozen=True)
-class Dataset:
+@plain_dataclass(frozen=True, repr=False)
+class Dataset(Told):
     """An opened dataset folder."""
 
     root: Path
     index: DatasetIndex
 
     def __repr__(self) -> str:
-        return f"Dataset of {self.sentence()}"
+        return self.sentences[0]
+
+    @property
+    def sentences(self) -> tuple[str]:
+        """How many scenes of which splits."""
+        return (f"Dataset of {self.sentence()}",)
 
     @property
     def preset(self) -> Preset:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from disk.frequency_text import exact_megahertz
 from disk.machine_memory import memory_shortage
+from disk.told import Told
 from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
 
@@ -34,12 +35,18 @@ _MOST_NAMES = 20  # of channels in a sentence
 _PHASOR_CHANNEL = re.compile(r"(?P<prefix>\w+)\.(?P<mhz>[0-9]{1,300}(\.[0-9]{1,300})?)MHz\.(?P<part>Re|Im)")
 
 
-@dataclass(frozen=True)
-class Image:
+@dataclass(frozen=True, repr=False)
+class Image(Told):
     """Named (H, W) float32 channels with text attributes."""
 
     channels: dict[str, NDArray[np.float32]]
     attributes: dict[str, str]
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """Its size and its channels."""
+        height, width = next(iter(self.channels.values())).shape
+        return f"{width} x {height} pixels", f"channels {self._names()}"
 
     def channel(self, name: str) -> NDArray[np.float32]:
         """(H, W) values of a channel; when it is missing, an `ImageFileError` names the existing ones."""

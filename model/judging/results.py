@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from disk.counted import counted
+from disk.told import Told
 from itof.metrics import Statistics, Summary
 from model.judging.calibration import Calibration
 from model.judging.groups import GroupTable
@@ -95,8 +96,8 @@ ROUNDNESS = Measure("roundness", "roundness of the mask", 1.0)
 EXPLAINED = Measure("explained_light", "explained hidden light, %", 100.0)
 
 
-@dataclass(frozen=True)
-class Report:
+@dataclass(frozen=True, repr=False)
+class Report(Told):
     """Results of an evaluation.
 
     Attributes
@@ -122,6 +123,16 @@ class Report:
     depth_reliability: DepthReliability | None = None
     unlike_training: tuple[str, ...] = ()
     frame_rate_hz: float | None = None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The main numbers, and the warnings."""
+        ours, nothing = (
+            f"{100 * each.depth_mae_m.mean:.2f} cm, mIoU {each.miou.mean:.3f}"
+            for each in (self.prediction, self.no_object)
+        )
+        scenes = counted(len(self.scenes), "scene")
+        return (f"{scenes} of the split {self.split}: MAE {ours} (no object: {nothing})", *self.warnings)
 
     def seconds(self, result: SceneResult) -> float:
         """Time of a frame of a sequence, from the first on; 0 where the scenes are none."""

@@ -15,6 +15,7 @@ from torch import Tensor
 from disk import NightError, PathLike
 from disk.frequency_text import megahertz
 from disk.quantities import MAX_FOV_DEG, MIN_FOV_DEG
+from disk.told import Told
 from itof import DepthMap, amplitude
 from itof.wall.empty_corner import CapturedPlane, captured_wall, find_wall
 from itof.wall.expected_wall import ExpectedWall
@@ -38,8 +39,8 @@ class InputError(NightError):
     """Measurements that a network cannot be used on."""
 
 
-@dataclass(frozen=True)
-class Predictor:
+@dataclass(frozen=True, repr=False)
+class Predictor(Told):
     """A trained network with its configuration, on a device; made by `load`.
 
     Attributes
@@ -53,14 +54,17 @@ class Predictor:
     weights_sha256: str
 
     def __repr__(self) -> str:
+        return "\n".join(self.sentences)
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """What it is for."""
         config, inputs = self.config, self.config.inputs
         views = " to ".join(dict.fromkeys(f"{view_deg:.3g}" for view_deg in config.trained_views_deg))
-        size = f"{config.image_width} x {config.image_height} pixels"
-        count = sum(weights.numel() for weights in self.network.parameters())
-        return (
-            f"Predictor for {size}, {megahertz(*inputs.frequencies_hz)}, {views} degrees\n"
-            f"channels {inputs.channels}, target {config.readout.target}, {count:,} weights on {self.device}"
-        )
+        seen = f"{config.image_width} x {config.image_height} pixels, {megahertz(*inputs.frequencies_hz)}"
+        weights = f"{sum(each.numel() for each in self.network.parameters()):,} weights on {self.device}"
+        channels = f"channels {inputs.channels}, target {config.readout.target}"
+        return f"Predictor for {seen}, {views} degrees", f"{channels}, {weights}"
 
     @cached_property
     def reference(self) -> NDArray[np.complex64]:

@@ -35,6 +35,13 @@ def transient_file(tmp_path, cube):
     return path
 
 
+def test_an_image_says_its_size_and_its_channels_in_a_shell(tmp_path):
+    write_image(tmp_path / "i.exr", {"a": np.zeros((2, 3)), "b": np.zeros((2, 3))}, {})
+    image = read_image(tmp_path / "i.exr")
+    assert image.sentences == ("3 x 2 pixels", "channels a, b")
+    assert repr(image) == "Image: 3 x 2 pixels\n1 more in sentences"
+
+
 def test_a_transient_comes_back_bit_for_bit_in_any_blocks(transient_file, cube):
     with TransientReader(transient_file) as reader:
         assert reader.layout == LAYOUT

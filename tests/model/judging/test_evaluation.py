@@ -153,6 +153,16 @@ def test_evaluation_at_another_resolution_or_frequency_is_refused(finished_run, 
     assert not (tmp_path / "report").exists()
 
 
+def test_a_report_says_its_main_numbers_in_a_shell(judged_run):
+    report, _ = judged_run
+    first, second = repr(report).split("\n")
+    mae_cm = 100 * np.mean([scene.prediction.depth_mae_m for scene in report.scenes])
+    assert first.startswith(
+        f"Report: {len(report.scenes)} scenes of the split train: MAE {mae_cm:.2f} cm, mIoU "
+    )
+    assert second == f"{len(report.warnings)} more in sentences"
+
+
 def test_evaluation_without_a_test_split_says_which_there_are(finished_run, tmp_path):
     tables = {"count": 4, "test_fraction": 0.0, "validation_fraction": 0.5}
     dataset = write_synthetic_dataset(tmp_path / "data", count=4, dataset=tables)

@@ -39,6 +39,7 @@ def test_a_predictor_says_in_two_lines_what_it_is_for(predictor):
     height, width = predictor.reference.shape[:2]
     assert lines[0] == f"Predictor for {width} x {height} pixels, 20, 50, 60 MHz, 60 degrees"
     assert len(lines) == 2
+    assert predictor._repr_html_().count("<li>") == 2
 
 
 def test_the_reference_of_a_run_is_that_of_the_shards(predictor, shards):
