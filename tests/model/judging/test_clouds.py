@@ -95,6 +95,18 @@ def test_the_figure_shows_truth_blue_and_every_predicted_point_in_the_colour_of_
     assert bar.get_xlabel() == "prediction: distance from the nearest true point, cm"
 
 
+def test_no_number_of_an_upright_axis_lies_on_its_line():
+    figure = clouds_figure([shown()])
+    figure.canvas.draw()
+    (axes,) = (axes for axes in figure.axes if axes.name == "3d")
+    line = axes.zaxis.line.get_window_extent()
+    low, high = axes.get_zlim()
+    ticks = axes.zaxis.majorTicks  # as drawn: `get_zticklabels` would put the numbers elsewhere
+    numbers = [tick.label1.get_window_extent() for tick in ticks if low <= tick.get_loc() <= high]
+    assert len(numbers) > 2
+    assert min(number.x0 for number in numbers) >= line.x1
+
+
 def test_scenes_without_points_have_a_place_in_the_figure_and_six_scenes_have_two_rows():
     nothing = ((0, 0), (0, 0), 0.0)
     scenes = [shown(truth=nothing), shown(prediction=nothing), shown(truth=nothing, prediction=nothing)]
