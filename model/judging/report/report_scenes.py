@@ -83,15 +83,16 @@ def point_clouds(shown: Sequence[ShownScene]) -> list[dict[str, Any]]:
                 "true_count": len(scene.points_gt_m),
                 "predicted_count": len(scene.points_pred_m),
                 "outside_count": cloud.outside if cloud else 0,
-                "points": _points(cloud),
+                "points": _points(cloud, scene.walls_m),
             }
         )
     return parts
 
 
-def _points(cloud: Cloud | None) -> dict[str, Any] | None:
-    """Points and their box, metres; millimetres are enough. None where there is no point.
+def _points(cloud: Cloud | None, walls_m: NDArray[np.float64]) -> dict[str, Any] | None:
+    """Points, their box, and the walls, metres; millimetres are enough. None where there is no point.
 
+    The points p of the relay wall have `plane` · p = 1.
     Distances from the truth end at FAR_M, as their colours do.
     """
     if cloud is None:
@@ -102,6 +103,8 @@ def _points(cloud: Cloud | None) -> dict[str, Any] | None:
         "distance": _rounded(np.minimum(cloud.distance_m, FAR_M)),
         "centre": _rounded(cloud.centre_m),
         "reach": round(cloud.reach_m, 3),
+        "walls": _rounded(walls_m),
+        "plane": np.linalg.lstsq(walls_m[0], np.ones(4), rcond=None)[0].tolist(),
     }
 
 
