@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
 
 from matplotlib import rc_context
@@ -16,6 +18,13 @@ from itof.pictures.png import missing_letters_as_boxes, save_png
 BACKGROUND = "0.88"  # grey of the pixels without object
 LEAST_DEPTH_SPAN_M = 0.4  # with a smaller colour range, the noise of a flat object would look like relief
 DOTS_PER_INCH = 150
+_PAGE_COLOURS = {  # of matplotlib: ink, paper, BACKGROUND, grid, the sides of a box; and of the page
+    "#000000": "currentColor",
+    "#ffffff": "var(--page)",
+    "#e0e0e0": "var(--nothing)",
+    "#b0b0b0": "var(--baseline)",
+    **dict.fromkeys(("#f2f2f2", "#e6e6e6", "#ececec"), "var(--card)"),
+}
 
 
 def write_figure(path: Path, figure: Figure) -> None:
@@ -34,6 +43,26 @@ def write_pdf(path: Path, figure: Figure) -> None:
         rc_context({"pdf.fonttype": 42}),
     ):
         figure.savefig(partial, format="pdf", dpi=DOTS_PER_INCH, metadata=undated)
+
+
+def svg_of(name: str, figure: Figure) -> str:
+    """A figure as an element of a page, in the page's colours but for what its images show.
+
+    Parameters
+    ----------
+    name : no other figure of the page has it.
+    """
+    content = StringIO()
+    undated = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    with missing_letters_as_boxes(), rc_context({"svg.hashsalt": name}):
+        figure.savefig(content, format="svg", dpi=DOTS_PER_INCH, metadata=undated)
+    svg = content.getvalue()
+    # Styles and names of groups would be those of the whole page.
+    others = r'<!--.*?-->|<style.*?</style>|(?<=<g) id="[^"]*"'
+    svg = re.sub(others, "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    for colour, of_page in _PAGE_COLOURS.items():
+        svg = svg.replace(colour, of_page)
+    return svg
 
 
 def depth_range(*views: DepthMap) -> tuple[float, float]:

@@ -35,6 +35,8 @@ from model.prediction.explained_light import ExplainedLight
 from model.prediction.predictor import BATCH, Predictor
 from processes.progress import showing_progress
 from scenegen import Dataset, Split
+from scenegen.corner_geometry import corners_of
+from scenegen.pose import camera_axes
 
 _log = logging.getLogger(__name__)
 
@@ -150,7 +152,9 @@ def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> Iterator[Sh
         block = bench.shards.read([rows[result.scene]])
         prediction = bench.predict(block)[0]
         truth_m, mask = block.radial_depth_m[0], block.mask[0] > 0
-        fov_deg = bench.dataset.scene(result.scene).camera.horizontal_fov_deg
+        scene = bench.dataset.scene(result.scene)
+        camera, fov_deg = scene.camera, scene.camera.horizontal_fov_deg
+        walls_m = np.stack([corners_of(wall) for wall in (scene.relay_wall, scene.middle_wall)])  # (2, 4, 3)
         yield ShownScene(
             rank,
             result,
@@ -158,6 +162,7 @@ def shown_scenes(bench: Bench, chosen: Mapping[str, SceneResult]) -> Iterator[Sh
             prediction,
             object_points(truth_m, mask, fov_deg),
             object_points(prediction.radial_depth_m, prediction.mask, fov_deg),
+            (walls_m - camera.location_m) @ camera_axes(camera).T,
         )
 
 

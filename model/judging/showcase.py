@@ -27,7 +27,8 @@ MOST = 0.97  # share of all points that the cube contains
 class ShownScene:
     """One scene of the report; points are (n, 3) in camera axes (`itof.pictures.pointclouds`), metres.
 
-    `rank` is its place by accuracy, for readers: "best", "rank 3 of 80".
+    `rank` is its place by accuracy, for readers: "best", "rank 3 of 80". `walls_m` (2, 4, 3) holds the
+    corners of relay wall and middle wall in these axes.
     """
 
     rank: str
@@ -36,6 +37,7 @@ class ShownScene:
     prediction: DepthMap
     points_gt_m: NDArray[np.float32]
     points_pred_m: NDArray[np.float32]
+    walls_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,13 @@ from model.judging.showcase import ShownScene
 
 HEIGHT, WIDTH = 12, 20
 FOV_DEG = 60.0
+# Corners of a relay wall in the plane z = 2 of the camera's axes, and of a middle wall in the plane x = 0.5.
+WALLS_M = np.array(
+    [
+        [[-1, -1, 2], [3, -1, 2], [3, 1, 2], [-1, 1, 2]],
+        [[0.5, -1, 0], [0.5, -1, 1.5], [0.5, 1, 1.5], [0.5, 1, 0]],
+    ]
+)
 
 
 def block(rows, columns, radial_depth_m):
@@ -33,4 +40,4 @@ def shown(
         roundness_pred=disc_iou(prediction.mask),
     )
     points = [object_points(view.radial_depth_m, view.mask, FOV_DEG) for view in (truth, prediction)]
-    return ShownScene("rank 2 of 9", result, truth, prediction, *points)
+    return ShownScene("rank 2 of 9", result, truth, prediction, *points, WALLS_M)

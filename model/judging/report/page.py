@@ -33,7 +33,6 @@ from model.judging.report.report_scenes import (
     cloud_colours,
     clouds_picture,
     film_picture,
-    pictures,
     point_clouds,
     scenes_picture,
 )
@@ -71,7 +70,7 @@ def write_page(
     history : columns of the run's ``history.csv``, as it was with the weights that were judged.
     origin : what was judged on what, as plain data.
     """
-    figures = out / "figures"
+    figures, target = out / "figures", config.settings.target.kind
     figures.mkdir()
     charts = {
         "sequence": sequence_charts(report),
@@ -100,10 +99,11 @@ def write_page(
         summary_head=SUMMARY_HEAD,
         summary=summary_rows(report),
         paper=PAPER["source"],
-        pictures=pictures(report, shown, figures),
+        target=target,
+        pictures=[scenes_picture([one], target, figures / f"{one.rank}.png") for one in shown],
         film=film_picture(out) if report.frame_rate_hz else None,
         frame_rate_hz=report.frame_rate_hz,
-        scenes_picture=scenes_picture(figured, figures),
+        scenes_picture=scenes_picture(figured, target, figures / "scenes.png"),
         clouds=point_clouds(shown),
         clouds_picture=clouds_picture(figured, figures),
         cloud_colours=cloud_colours(),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba
@@ -17,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from itof.pictures.figures import plain, write_figure, write_pdf
+from itof.pictures.figures import plain, svg_of, write_figure, write_pdf
 from itof.pictures.pointclouds import (
     DISTANCE_COLOUR_MAP,
     DISTANCE_COLOURS,
@@ -26,9 +27,8 @@ from itof.pictures.pointclouds import (
     distance_colours,
     distances_m,
 )
-from model.judging.report.scenes_figure import comparison_figure, describe, scenes_figure
+from model.judging.report.scenes_figure import describe, scenes_figure
 from model.judging.report.sequence_film import FILM_FILE
-from model.judging.results import Report
 from model.judging.showcase import Cloud, ShownScene, cloud_of, short_name
 
 COLUMNS = 5  # scenes side by side
@@ -37,56 +37,39 @@ DOT_AREA = 2400.0  # square points that the dots of a scene cover, if that gives
 ELEVATION_DEG, AZIMUTH_DEG = 22.0, -60.0  # of the view, to the right of the camera's own and above it
 
 
-def pictures(report: Report, shown: Sequence[ShownScene], figures: Path) -> list[dict[str, Any]]:
-    """Truth and prediction of the shown scenes, written to the folder `figures`.
+def scenes_picture(scenes: Sequence[ShownScene], target: str, file: Path) -> dict[str, Any]:
+    """Truth and prediction of scenes in one picture, written to a PNG `file` and to a PDF beside it.
 
     Returns
     -------
-    One dictionary for each picture: `src` (its data), `width` and `height` in pixels, and `text` for readers
-    who do not see it.
+    `drawing`, for the page, and `text` for readers who do not see it.
     """
-    parts = []
-    for scene in shown:
-        result = scene.result
-        rank = f"{scene.rank} of {len(report.scenes)} {report.split} scenes"
-        title = f"{rank}: {result.scene}, {result.object_class}"
-        figure = comparison_figure(title, scene.truth, scene.prediction, result.prediction)
-        text = f"{title}. {describe(result.prediction)}"
-        parts.append(_written(figures / f"{scene.rank}.png", figure, text))
-    return parts
-
-
-def scenes_picture(figured: Sequence[ShownScene], figures: Path) -> dict[str, Any]:
-    """Truth beside prediction of several scenes in one picture, as in `pictures`; ``scenes.png``."""
-    scenes = "; ".join(
-        f"{scene.result.scene}, {scene.result.object_class}: {describe(scene.result.prediction)}"
-        for scene in figured
+    said = "; ".join(
+        f"{one.rank}: {one.result.scene}, {one.result.object_class}, {describe(one.result.prediction)}"
+        for one in scenes
     )
-    return _written(figures / "scenes.png", scenes_figure(figured), f"Truth and prediction of {scenes}")
+    return _written(file, scenes_figure(scenes, target), f"Truth and prediction. {said}")
 
 
 def clouds_picture(figured: Sequence[ShownScene], figures: Path) -> dict[str, Any]:
-    """Point clouds of several scenes in one picture, as in `pictures`; ``point_clouds.png``."""
+    """Point clouds of several scenes in one picture, as in `scenes_picture`; ``point_clouds.png``."""
     scenes = "; ".join(f"{scene.result.scene}, {scene.result.object_class}" for scene in figured)
     return _written(figures / "point_clouds.png", clouds_figure(figured), f"Point clouds of {scenes}")
 
 
 def film_picture(out: Path) -> dict[str, Any]:
-    """The film of a sequence, as in `pictures`; ``film.gif``."""
+    """The film of a sequence: `src` (its data), and `width` and `height` in pixels."""
     with Image.open(out / FILM_FILE) as film:
         width, height = film.size
     gif = base64.b64encode((out / FILM_FILE).read_bytes()).decode()
-    text = "Film of truth and prediction over time"
-    return {"src": f"data:image/gif;base64,{gif}", "width": width, "height": height, "text": text}
+    return {"src": f"data:image/gif;base64,{gif}", "width": width, "height": height}
 
 
 def _written(file: Path, figure: Figure, text: str) -> dict[str, Any]:
     """Write a picture, and what the page needs of it."""
     write_figure(file, figure)
     write_pdf(file.with_suffix(".pdf"), figure)
-    width, height = (round(length * figure.dpi) for length in figure.get_size_inches())
-    png = base64.b64encode(file.read_bytes()).decode()
-    return {"src": f"data:image/png;base64,{png}", "width": width, "height": height, "text": text}
+    return {"drawing": Markup(svg_of(file.stem, figure)), "text": text}  # noqa: S704 -- its texts are outlines
 
 
 def point_clouds(shown: Sequence[ShownScene]) -> list[dict[str, Any]]:
@@ -100,15 +83,16 @@ def point_clouds(shown: Sequence[ShownScene]) -> list[dict[str, Any]]:
                 "true_count": len(scene.points_gt_m),
                 "predicted_count": len(scene.points_pred_m),
                 "outside_count": cloud.outside if cloud else 0,
-                "points": _points(cloud),
+                "points": _points(cloud, scene.walls_m),
             }
         )
     return parts
 
 
-def _points(cloud: Cloud | None) -> dict[str, Any] | None:
-    """Points and their box, metres; millimetres are enough. None where there is no point.
+def _points(cloud: Cloud | None, walls_m: NDArray[np.float64]) -> dict[str, Any] | None:
+    """Points, their box, and the walls, metres; millimetres are enough. None where there is no point.
 
+    The points p of the relay wall have `plane` · p = 1.
     Distances from the truth end at FAR_M, as their colours do.
     """
     if cloud is None:
@@ -119,6 +103,8 @@ def _points(cloud: Cloud | None) -> dict[str, Any] | None:
         "distance": _rounded(np.minimum(cloud.distance_m, FAR_M)),
         "centre": _rounded(cloud.centre_m),
         "reach": round(cloud.reach_m, 3),
+        "walls": _rounded(walls_m),
+        "plane": np.linalg.lstsq(walls_m[0], np.ones(4), rcond=None)[0].tolist(),
     }
 
 
@@ -167,21 +153,27 @@ def _draw(axes: Any, scene: ShownScene) -> None:
         plain(f"{result.scene}, {short_name(result.object_class)}\n{_said(scene)}"), fontsize=9, y=0.97
     )
     axes.tick_params(labelsize=7, pad=-3)
+    axes.tick_params(axis="z", pad=3)  # matplotlib puts these numbers on the line
     axes.view_init(elev=ELEVATION_DEG, azim=AZIMUTH_DEG)
-    axes.set_box_aspect((1, 1, 1), zoom=0.87)
+    axes.set_box_aspect((1, 1, 1), zoom=0.78)
     cloud = cloud_of(scene)
     if cloud is None:
         return
     points_m, colours = _coloured(cloud)
     # One collection: matplotlib sorts the points of a collection by depth, so near points hide far ones.
     axes.scatter(
-        *_axes_of_view(points_m).T, c=colours, s=_dot_size(len(points_m)), linewidths=0, depthshade=False
+        *_axes_of_view(points_m).T,
+        c=colours,
+        s=_dot_size(len(points_m)),
+        linewidths=0,
+        depthshade=False,
+        rasterized=True,  # thousands of dots would make large files
     )
     centre_m = _axes_of_view(cloud.centre_m)
     names = ("right, m", "forward, m", "up, m")
     for axis, name, middle_m in zip("xyz", names, centre_m, strict=True):
         getattr(axes, f"set_{axis}lim")(middle_m - cloud.reach_m, middle_m + cloud.reach_m)
-        getattr(axes, f"set_{axis}label")(name, fontsize=7, labelpad=-5)
+        getattr(axes, f"set_{axis}label")(name, fontsize=7, labelpad=2 if axis == "z" else -5)
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(4))
 
 

@@ -1,9 +1,12 @@
 """Point clouds: distance of a prediction from the truth, its colours, and their figure."""
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
 from matplotlib.colors import to_rgba
+from report_pages import WITH_WEBGL, Page, browse, needs_chromium
 from scene_views import shown
 
 from itof.pictures.pointclouds import (
@@ -17,6 +20,7 @@ from itof.pictures.pointclouds import (
 from model.judging.evaluation import evaluate
 from model.judging.report.report_scenes import clouds_figure
 from model.judging.showcase import cloud_of
+from scenegen.pose import camera_axes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -95,6 +99,18 @@ def test_the_figure_shows_truth_blue_and_every_predicted_point_in_the_colour_of_
     assert bar.get_xlabel() == "prediction: distance from the nearest true point, cm"
 
 
+def test_no_number_of_an_upright_axis_lies_on_its_line():
+    figure = clouds_figure([shown()])
+    figure.canvas.draw()
+    (axes,) = (axes for axes in figure.axes if axes.name == "3d")
+    line = axes.zaxis.line.get_window_extent()
+    low, high = axes.get_zlim()
+    ticks = axes.zaxis.majorTicks  # as drawn: `get_zticklabels` would put the numbers elsewhere
+    numbers = [tick.label1.get_window_extent() for tick in ticks if low <= tick.get_loc() <= high]
+    assert len(numbers) > 2
+    assert min(number.x0 for number in numbers) >= line.x1
+
+
 def test_scenes_without_points_have_a_place_in_the_figure_and_six_scenes_have_two_rows():
     nothing = ((0, 0), (0, 0), 0.0)
     scenes = [shown(truth=nothing), shown(prediction=nothing), shown(truth=nothing, prediction=nothing)]
@@ -129,3 +145,45 @@ def test_scenes_without_a_point_cloud_are_counted_in_one_sentence(
     said = [record.getMessage() for record in caplog.records if "point cloud" in record.getMessage()]
     assert len(report.scenes) > 1
     assert said == [f"no object, so no point cloud: in {len(report.scenes)} predictions and 0 true images"]
+
+
+def test_the_clouds_of_the_page_have_the_walls_of_their_scene(judged_run, closed_form_scenes):
+    _, folder = judged_run
+    page = Page((folder / "index.html").read_text())
+    camera = closed_form_scenes.scene("000000").camera
+    for cloud in page.data["cloud-data"]:
+        relay, middle = np.array(cloud["walls"]) @ camera_axes(camera) + camera.location_m
+        # The paper's relay wall has x = 0, its middle wall y = 0; the page has millimetres.
+        assert np.abs(relay[:, 0]).max() < 2e-3
+        assert np.abs(middle[:, 1]).max() < 2e-3
+        assert 1 / np.linalg.norm(cloud["plane"]) == pytest.approx(camera.location_m[0], rel=1e-9)
+
+
+CLICK = """<script>setTimeout(() => {
+  const box = document.querySelector("[data-cloud]");
+  box.querySelectorAll(".updatemenu-button")[1].dispatchEvent(new Event("click"));
+  setTimeout(() => {
+    const visible = box._fullData.filter((trace) => trace.visible);
+    const shown = visible.map(({ name, x, y, z }) => ({ name, x, y, z }));
+    document.body.dataset.room = JSON.stringify({ shown, range: box._fullLayout.scene.zaxis.range });
+  }, 2000);
+}, 5000);</script></body>"""
+
+
+@pytest.mark.long
+@needs_chromium
+def test_in_the_view_of_the_room_a_click_shows_walls_and_the_object_at_its_own_place(judged_run, tmp_path):
+    text = (judged_run[1] / "index.html").read_text()
+    (tmp_path / "page.html").write_text(CLICK.join(text.rsplit("</body>", 1)))
+    page = Page(browse(tmp_path / "page.html", tmp_path, WITH_WEBGL)[0])
+    room = json.loads(dict(page.attributes)["data-room"])
+    names = ["truth", "prediction", "camera", "relay wall", "middle wall"]
+    assert [trace["name"] for trace in room["shown"]] == names
+    cloud = page.data["cloud-data"][0]
+    own = np.array([room["shown"][0][axis] for axis in "xyz"]).T
+    image, plane = np.array(cloud["truth"]), np.array(cloud["plane"])
+    np.testing.assert_allclose((own + image) @ plane / 2, 1, rtol=1e-9)  # half way is the wall
+    np.testing.assert_allclose(np.cross(own - image, plane), 0, atol=1e-9)
+    near_m, far_m = room["range"]
+    assert near_m < 0 < own[:, 2].min()
+    assert own[:, 2].max() < far_m

@@ -134,6 +134,7 @@ def test_the_report_of_a_network_with_uncertainty_has_the_errors(doubting, shard
     assert (out / "figures" / "depth_error.png").is_file()
     page = (out / "index.html").read_text()
     assert f"{100 * found['mean_expected_m']:.1f} cm are expected" in " ".join(page.split())
+    assert "Re and Im" not in page
     assert [chart.name for chart in depth_error_charts(report)] == ["depth_error"]
 
 
@@ -144,4 +145,6 @@ def test_a_network_without_probabilities_has_no_uncertainty(judged_run):
     assert content["expected_mae_m"] is None
     assert content["depth_reliability"] is None
     assert uncertainty_charts(report) == depth_error_charts(report) == ()
-    assert "predicts no probabilities" in (out / "index.html").read_text()
+    page = (out / "index.html").read_text()
+    assert "predicts no probabilities" in page
+    assert "Re and Im are the components" in page
