@@ -28,8 +28,7 @@ class SceneResult:
     object_pixels : number of pixels that show the object in the ground truth.
     object_distance_m : mean radial depth of these pixels in the ground truth, metres; None if there are none.
     roundness_gt, roundness_pred : `disc_iou` of the masks of ground truth and prediction; None if empty.
-    expected_mae_m : MAE over all pixels that the network expects, times `ExplainedLight.doubt`; None if it
-        predicts no probabilities.
+    expected_mae_m : MAE over all pixels that the network expects; None if it predicts no probabilities.
     explained_light : `ExplainedLight.share`; None without residual channels, too.
     """
 
@@ -72,8 +71,6 @@ def judge_scene(
     has_probability : the amplitude of the predicted phasor is the probability of the object.
     """
     on_object_m = radial_depth_gt_m[mask_gt > 0]  # (n,)
-    doubt = 1.0 if light is None else light.doubt
-    expected_m = doubt * expected_mae_m(prediction) if has_probability else None
     return SceneResult(
         scene=scene.id,
         object_class=scene.object_class,
@@ -86,7 +83,7 @@ def judge_scene(
         no_object=no_object_metrics(radial_depth_gt_m, mask_gt),
         roundness_gt=disc_iou(mask_gt),
         roundness_pred=disc_iou(prediction.mask),
-        expected_mae_m=expected_m,
+        expected_mae_m=expected_mae_m(prediction) if has_probability else None,
         explained_light=None if light is None else light.share,
     )
 

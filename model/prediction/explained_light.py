@@ -28,9 +28,6 @@ _SIGMAS: Final = 5.0  # of the energy of noise: less light tells nothing
 # Chosen by benchmarks/foreign_measurements.py: good answers explain more than half where noise is low.
 SHARE_REFUSED: Final = 0.02
 SHARE_NOTED: Final = 0.2
-# Few good depth maps leave more. Errors grow with what is left, in the mean over rows of changed noise and
-# objects (notebook/accuracy.md, Expected errors beside what is explained).
-_LEFT, _POWER = 0.02, 1 / 3
 LEAST_LIGHT: Final = 1e-4  # of the direct return; scenes of the presets have 3e-4 to 4e-3
 MOST_LIGHT: Final = 0.03
 
@@ -56,12 +53,6 @@ class ExplainedLight:
     hideable: float
     share: float | None
     other_scene: str = ""
-
-    @property
-    def doubt(self) -> float:
-        """How many times as large as the network expects its errors are, by the light that it leaves."""
-        left = 0.0 if self.share is None else 1 - self.share
-        return max(1.0, float(left / _LEFT) ** _POWER)
 
     @property
     def words(self) -> str:

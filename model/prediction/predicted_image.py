@@ -30,10 +30,10 @@ class PredictedImage:
     files : names of its files in the output folder.
     wall : the relay wall as the measurement shows it; None if it shows none.
     horizontal_fov_deg : field of view that the image was taken to have, degrees.
-    expected_mae_m : MAE over all pixels that the network expects, times `ExplainedLight.doubt`, metres; None
-        without probabilities, and after a finding: no network knows what it was not trained on.
-    expected_depth_error_m : the same of these pixels' depth; None if the network expects none, without an
-        object, and after a finding.
+    expected_mae_m : MAE over all pixels that the network expects, metres; None without probabilities, and
+        after a finding: no network knows what it expects of what it was not trained on.
+    expected_depth_error_m : mean absolute error of these pixels' depth that the network expects, metres; None
+        if it expects none, without an object, and after a finding.
     light : hidden light, and how much of it the depth map explains; None without residual channels.
     explanation : the solids that refinement has found; None without refinement, or where there is none.
     doubted : whether a finding has taken away the expected errors.
@@ -63,18 +63,6 @@ class PredictedImage:
         return (
             f"image {self.name}: {self.object_pixels} pixels show an object, at a median radial depth of "
             f"{self.median_radial_depth_m:.2f} m{self._depth_error}{own}"
-        )
-
-    def expecting(self, mae_m: float | None) -> PredictedImage:
-        """The same with an expected MAE; a network's is larger if its depth map leaves light unexplained."""
-        is_known = self.explanation is not None and self.explanation.accepted
-        doubt = 1.0 if self.light is None or is_known else self.light.doubt
-        return replace(
-            self,
-            expected_mae_m=None if mae_m is None else doubt * mae_m,
-            expected_depth_error_m=(
-                None if self.expected_depth_error_m is None else doubt * self.expected_depth_error_m
-            ),
         )
 
     def after(self, check: MeasurementCheck) -> PredictedImage:

@@ -189,7 +189,7 @@ def _predict_all(
                 )
                 wall = check.walls[start + index]
                 image = _write(folder, name, one, wall, light, predictor, about)
-                image = replace(image, explanation=found.explanation).expecting(own_m)
+                image = replace(image, expected_mae_m=own_m, explanation=found.explanation)
                 if found.picture is not None:
                     image = replace(image, files=(*image.files, f"{name}_light.png"))
                     write_figure(folder / image.files[-1], found.picture)

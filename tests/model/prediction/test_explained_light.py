@@ -1,14 +1,11 @@
 """How much of the hidden light a depth map explains, against rendered scenes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from wall_measurements import expected_wall_of, noise, phasors_of
 
 from itof import DepthMap
 from model.prediction.explained_light import ExplainedLight, explained_light
-from model.prediction.predicted_image import PredictedImage
 from model.prediction.predictor import load
 from model.prediction.surface_light import surface_light
 from scenegen import open_dataset
@@ -95,17 +92,6 @@ def test_a_part_of_an_alike_scene_is_named_though_its_light_is_weak_and_nearly_e
         assert light.share > 0.8  # so that nothing else is told
         assert words in light.other_scene
         assert bool(words) == bool(light.other_scene)
-
-
-def test_expected_errors_are_larger_where_light_is_left():
-    said = PredictedImage("000000", 9, 3.0, (), None, 60.0, None, 0.02)
-    factors = []
-    for share in (1.0, 0.99, 0.84, 0.0, None):
-        light = ExplainedLight(2e-3, 1e-5, 1e-4, share)
-        image = replace(said, light=light).expecting(0.01)
-        factors.append(image.expected_mae_m / 0.01)
-        assert image.expected_depth_error_m == pytest.approx(0.02 * factors[-1])
-    assert factors == pytest.approx([1, 1, 2, 50 ** (1 / 3), 1])
 
 
 def test_without_an_object_nothing_is_explained_and_noise_is_no_light(scenes):
