@@ -10,7 +10,6 @@ that of the scheduler. A worker is a machine like this one. Run:
 """
 
 import argparse
-import os
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ from typing import Any
 from model.data.shards import open_shards
 from model.settings.fresh import FreshScenes
 from model.training.fresh.workers import FreshWorkers, Rendering
+from processes.cores import usable_cores
 from render.farm.clusters import connected
 from render.farm.jobs import Job, Outcome
 from render.farm.queue import RenderQueue
@@ -66,7 +66,7 @@ def main() -> None:
 
 def print_rates(root: Path, given: argparse.Namespace) -> None:
     """The first table: one worker with all cores, and one worker for each core."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     print(f"preset {given.preset}, {given.scenes} scenes after {given.warm_up} to warm up, {cores} cores\n")
     print("| pixels | error | workers x threads | seconds per scene pair | scene pairs per hour |")
     print("|---|---|---|---|---|")
@@ -84,7 +84,7 @@ def print_rates(root: Path, given: argparse.Namespace) -> None:
 
 def print_fresh(given: argparse.Namespace) -> None:
     """Scene pairs that workers with all cores deliver to a training, without files."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     print("\n| delivered to a training: pixels | error | scene pairs per hour |\n|---|---|---|")
     for size, error in [(size, float(error)) for size, error in given.rates or ()] or RATES:
         width, height = (int(number) for number in size.split("x"))
@@ -103,7 +103,7 @@ def print_fresh(given: argparse.Namespace) -> None:
 
 def print_stages(root: Path, given: argparse.Namespace) -> None:
     """The second and the third table, with one worker for each core."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     scenes = {"scenes (Blender, 1344 of them)": made_scenes(root / "scenes", given.preset, 1344) / 1344}
     settings = settings_at(given.size, given.error)
     dataset = made_dataset(root / "data", given.preset, given.scenes + given.warm_up)
@@ -185,7 +185,7 @@ def scheduler_cost(dataset: Dataset) -> float:
 
 def report(costs: dict[str, float], overhead: float, given: argparse.Namespace) -> None:
     """Print the measured times and the estimate."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     print(f"\n{given.size} pixels, hidden-signal error {given.error}, {cores} workers with one thread each\n")
     print("| stage | seconds per scene | scenes per hour |\n|---|---|---|")
     for stage, seconds in costs.items():

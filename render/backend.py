@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from disk import NightError
+from disk.extras import MissingPackageError, need
 from processes import silenced
 
 Device = Literal["auto", "cpu", "cuda"]
@@ -35,8 +36,13 @@ def select_variant(device: Device = "auto") -> str:
 
     Raises
     ------
-    BackendError : there is no such device, or LLVM is missing or too old; the message says what to install.
+    BackendError : there is no such device, or the engine or LLVM is missing or too old; the message says what
+        to install.
     """
+    try:
+        need("render", ("drjit", "mitransient", "mitsuba"), "computing the light of scenes")
+    except MissingPackageError as error:
+        raise BackendError(str(error)) from None
     with silenced(STDERR):  # DrJit prints lines here that our messages below replace
         import drjit as dr
 

@@ -21,6 +21,7 @@ from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT, ContractError, checked
 from disk.counted import counted
+from disk.extras import installed_versions
 from disk.inner_paths import inside
 from disk.night_error import NightError
 from disk.path_like import PathLike
@@ -205,7 +206,7 @@ def build_index(
         seed=preset.dataset.seed,
         preset=preset,
         scenes=tuple(scenes),
-        packages={name: version(name) for name in _PACKAGES},
+        packages=installed_versions(_PACKAGES),
         meshes=dict(meshes),
     )
 

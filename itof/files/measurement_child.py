@@ -61,9 +61,10 @@ def main() -> None:
 
 def _limit_itself(path: Path) -> None:
     """Take no more memory than the machine has, no endless time, and leave no core dump."""
-    used = Path("/proc/self/statm")  # of Linux
-    pages = int(used.read_text(encoding="ascii").split()[0]) if used.exists() else 0
-    _lower(resource.RLIMIT_AS, pages * os.sysconf("SC_PAGE_SIZE") + machine_bytes())
+    used = Path("/proc/self/statm")  # of Linux; elsewhere, it may have more already than the limit would be
+    if used.exists():
+        pages = int(used.read_text(encoding="ascii").split()[0])
+        _lower(resource.RLIMIT_AS, pages * os.sysconf("SC_PAGE_SIZE") + machine_bytes())
     _lower(resource.RLIMIT_CPU, _CPU_SECONDS + path.stat().st_size // 10**6)
     _lower(resource.RLIMIT_CORE, 0)
 

@@ -124,7 +124,8 @@ class Readout:
         still grow.
         """
         diagonal = torch.full_like(output, 0.5**0.5)
-        return (_direction(output, diagonal) * output).sum(dim=1).clamp(0, 1)
+        amplitude = (_direction(output, diagonal) * output).sum(dim=1)
+        return torch.where(amplitude > 1, 1.0, amplitude)  # `clamp` of torch 2.14 has no gradient at 0 and 1
 
     def radial_depth_m(self, output: Tensor) -> Tensor:
         """(N, H, W) radial depth, metres: c φ / (4π f) with φ in [0, 2π) on the mask, 0 elsewhere.

@@ -117,7 +117,7 @@ def intersection_over_union(mask_pred: Tensor, mask_gt: Tensor) -> Tensor:
     """(N,) IoU of (N, H, W) masks of 0 and 1; 1 if both are empty. Differentiable in `mask_pred`."""
     intersection = (mask_pred * mask_gt).sum(dim=(1, 2))
     union = (mask_pred + mask_gt - mask_pred * mask_gt).sum(dim=(1, 2))
-    return torch.where(union > 0, intersection / union.clamp_min(1), torch.ones_like(union))
+    return torch.where(union > 0, intersection / torch.where(union > 0, union, 1), torch.ones_like(union))
 
 
 def lovasz_jaccard(probability: Tensor, mask: Tensor) -> Tensor:

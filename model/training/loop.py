@@ -40,6 +40,7 @@ from model.training.refusals import (
     naming_memory,
     output_frequency_hz,
     refuse_images_of_many_corners,
+    refuse_images_without_engine,
     refuse_missing_scenes,
     refuse_other_corner,
     refuse_other_view,
@@ -131,6 +132,7 @@ def train(
         stream = FreshScenes.of(fresh, meshes or {}) if fresh else None
         if not resume:
             output_frequency_hz(dataset, settings, stream)  # refuses, before the shards are made
+            refuse_images_without_engine(settings)
         with only_training(out, processes, check):
             return _train(
                 dataset, out, settings, processes, resume, start, stream, meshes or {}, memory_bytes

@@ -14,6 +14,7 @@ from itof import unambiguous_range_m
 from model.data.sensor_draws import view_problem
 from model.data.shards import Shards
 from model.device import plain_memory_errors
+from model.refinement.light.corner_light import CornerLight
 from model.run_folder.history import HISTORY_FILE, read_history
 from model.run_folder.run_config import CONFIG_FILE, RunConfig, RunError, read_config
 from model.settings.fresh import FreshScenes
@@ -74,6 +75,18 @@ def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> 
             "for one corner: take --channels residual+wall+rays, or --set "
             "input.channels.bounce_images=false"
         )
+
+
+def refuse_images_without_engine(settings: TrainSettings) -> None:
+    """`TrainingError` for images of the three bounces on a machine that cannot compute their light."""
+    if settings.input.bounce_images:
+        try:
+            CornerLight(())
+        except NightError as error:
+            raise TrainingError(
+                f"{error}, or train without images of the three bounces: --set "
+                "input.channels.bounce_images=false"
+            ) from None
 
 
 def output_frequency_hz(dataset: Dataset, settings: TrainSettings, fresh: FreshScenes | None) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -39,6 +38,7 @@ from model.training.processes import Processes, processes_of_this_machine
 from model.training.refusals import GO_ON, TrainingError, naming_disk
 from model.training.step import TrainingStep, augmentation_of
 from model.training.uncertainty_fit import UncertaintyFactors
+from processes.cores import usable_cores
 from scenegen import Split
 from scenegen.shapes import Shape
 from scenegen.unit_meshes import UnitMesh
@@ -124,7 +124,7 @@ class TrainingState:
     def _fresh_feed(self, scenes: FreshScenes, meshes: Mapping[Shape, UnitMesh]) -> FreshFeed:
         """Feed of the training's own scenes."""
         run, size = self.settings.run, (self.config.image_width, self.config.image_height)
-        cores = len(os.sched_getaffinity(0)) // processes_of_this_machine()
+        cores = usable_cores() // processes_of_this_machine()
         rendering_cores = max(1, round(cores * _RENDERING))
         if self.processes.device.type == "cpu":
             # Threads that wait for each other on a busy core make a step ten times slower.

@@ -142,10 +142,10 @@ class World:
         *,
         mixes_roughness: bool = False,
     ) -> None:
-        import drjit as dr
-
         self.meshes = {shape: unit_mesh(shape) for shape in PRIMITIVES} | dict(meshes or {})
         self._variant, self._mixes_roughness = select_variant(device), mixes_roughness
+        import drjit as dr
+
         if threads is not None:
             dr.set_thread_count(threads)
         self.cells = {shape: cell for cell, shape in enumerate(self.meshes)}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import os
 import socket
 from resource import RLIM_INFINITY, RLIMIT_NOFILE, getrlimit, setrlimit
 from typing import Any
 
+from processes.cores import usable_cores
 from processes.worker_processes import ended_when_broken
 from render.backend import Device, gpu_ids, select_variant
 from render.farm.dask_settings import NO_DASHBOARD, ClusterError, own_certificates
@@ -57,7 +57,7 @@ def _start(count: int, gpus: list[str]) -> Any:
     from distributed.system import MEMORY_LIMIT
 
     security = own_certificates()
-    threads = 1 if gpus else max(1, len(os.sched_getaffinity(0)) // count)
+    threads = 1 if gpus else max(1, usable_cores() // count)
     both = {"host": _HOST, "protocol": "tls://", "security": security}
     options = both | {
         "nthreads": threads,

@@ -6,8 +6,8 @@ import math
 import statistics
 from collections.abc import Collection
 from dataclasses import asdict, replace
-from importlib.metadata import version
 
+from disk.extras import installed_versions
 from render.farm.claims import rendering_record_locked
 from render.settings import RenderSettings, settings_of
 from scenegen import Dataset, RenderingRecord, read_recipe, read_record, write_rendering_record
@@ -49,7 +49,7 @@ def _record(dataset: Dataset, settings: RenderSettings, whole: bool, finished: b
         options=asdict(settings.options),
         width=layout.width,
         height=layout.height,
-        packages={name: version(name) for name in _PACKAGES},
+        packages=installed_versions(_PACKAGES),
         scene_count=len(errors),
         hidden_error_median=statistics.median(known) if known else None,
         hidden_error_max=max(known, default=None),

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from disk.extras import need
 from disk.path_like import PathLike
 from disk.preset_files import read_settings
 from processes.progress import showing_progress
@@ -67,6 +68,7 @@ def make_dataset(
 
 def blender_maker(meshes: Mapping[str, Any]) -> Any:
     """Start Blender in this process, and return the `BlenderMaker` of scenes with these meshes."""
+    need("scenes", ("bpy",), "making or drawing scenes")
     from scenegen.making.blender import BlenderMaker
 
     return BlenderMaker(meshes)

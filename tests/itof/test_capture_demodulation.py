@@ -51,7 +51,7 @@ def test_differences_of_the_sensor_model_become_its_phasors(tmp_path, count, sig
 )
 def test_taps_in_any_order_become_the_phasors_of_all_their_light(tmp_path, count, taps_rad):
     raw = taps_of(PHASOR, steps(count), taps_rad)
-    sidecar = sidecar_of(tmp_path, tap_count=None, taps_rad=list(taps_rad), step_count=count)
+    sidecar = sidecar_of(tmp_path, tap_count=None, taps_rad=[*map(float, taps_rad)], step_count=count)
     assert_phasors(phasors(sidecar, raw=raw))
 
 

@@ -1,6 +1,7 @@
 """The images of the hidden scene that a linear inverse of the three bounces makes for a network."""
 
 import shutil
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -176,6 +177,17 @@ def test_images_need_residual_channels_and_one_corner(tmp_path):
     )
     with pytest.raises(TrainingError, match="bounce_images are for one corner"):
         train(many, tmp_path / "run", settings(**SHOWN))
+
+
+def test_without_the_engine_a_training_with_images_is_refused_before_it_begins(
+    dataset, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    with pytest.raises(
+        TrainingError, match=r"\[render\]', or train .*: --set input.channels.bounce_images=false"
+    ):
+        train(dataset, tmp_path / "run", settings(**SHOWN))
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_run_with_images_cannot_be_resumed_or_started_from_without_them(dataset, begun, tmp_path):
