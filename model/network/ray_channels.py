@@ -11,7 +11,9 @@ from torch.nn import functional
 from model.network.channels import RAYS
 from model.settings.input import averaged_over
 
-LARGEST: Final = 6.0  # standard deviations of a channel: those at edges of other surfaces have a hundred
+# Standard deviations of a channel: bright objects near the wall have up to 27, edges of other surfaces a
+# hundred.
+LARGEST: Final = 30.0
 
 
 def seen(channels: Tensor) -> tuple[Tensor, Tensor]:
