@@ -42,8 +42,9 @@ def test_the_notebook_goes_from_a_mesh_to_a_prediction_beside_the_truth_and_once
         command = [sys.executable, "-c", SERVER, NOTEBOOK]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-    (dataset,), (light,), prediction, truth, (said,) = json.loads(done.stdout.splitlines()[-1])
-    assert dataset == "Dataset of 1 scene in around: 1 train, 0 validation, 0 test"
+    dataset, (light,), prediction, truth, (said,) = json.loads(done.stdout.splitlines()[-1])
+    assert dataset[0] == "Dataset of 1 scene in around: 1 train, 0 validation, 0 test"
+    assert dataset[1].startswith("_repr_html_ ")
     assert "% of the light has met the object" in light
     assert prediction[1].startswith("_repr_html_ ")
     assert truth[1].startswith("_repr_png_ ")
