@@ -41,7 +41,8 @@ Metres = Annotated[float, Field(gt=0, le=1000)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
-_LEAST_SEEN = 0.8  # of the pixels in a row of the training: more than fields of view change their size
+# Of the pixels in a row or column of the training: more than fields of view change their size.
+_LEAST_SEEN = 0.8
 
 
 class RunError(NightError):
@@ -139,12 +140,19 @@ class RunConfig:
     def reads(self, width: int, height: int) -> bool:
         """Whether the network can see images of so many pixels.
 
-        One that knows rays sees means of blocks, whose number in a row must be about that of the training.
+        One that knows rays sees means of blocks, whose numbers in a row and in a column must be about those
+        of the training.
         """
+        own = self.image_width, self.image_height
         if not self.inputs.shows_rays:
-            return (width, height) == (self.image_width, self.image_height)
-        ours, theirs = (count // averaged_over(count) for count in (width, self.image_width))
-        return _LEAST_SEEN * theirs <= ours <= theirs / _LEAST_SEEN
+            return (width, height) == own
+        seen, trained = (
+            [side // averaged_over(sides[0]) for side in sides] for sides in ((width, height), own)
+        )
+        return all(
+            _LEAST_SEEN * theirs <= ours <= theirs / _LEAST_SEEN
+            for ours, theirs in zip(seen, trained, strict=True)
+        )
 
     @property
     def readout(self) -> Readout:

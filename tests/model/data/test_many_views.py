@@ -187,7 +187,7 @@ def test_a_network_that_knows_rays_reads_images_of_other_sizes(views, tmp_path):
     train(views, tmp_path / "parts", settings(**knowing | {"max_epochs": 1}))
     train(views, tmp_path / "parts", settings(**knowing), resume=True)
     assert_same_end(tmp_path / "parts", run)
-    large = write_synthetic_dataset(tmp_path / "large", count=8, width=28, height=18, camera_spread=SPREAD)
+    large = write_synthetic_dataset(tmp_path / "large", count=8, width=28, height=17, camera_spread=SPREAD)
     report = evaluate(run, large, tmp_path / "report", device="cpu", progress=False)
     rows = open_shards(large).rows("test")
     z, views_deg = (open_shards(large).read(rows).phasors, open_shards(large).fields_of_view_deg(rows))
@@ -195,8 +195,9 @@ def test_a_network_that_knows_rays_reads_images_of_other_sizes(views, tmp_path):
     with pytest.raises(InputError, match="for_size reads other sizes"):
         predictor.predict(z, fields_of_view_deg=views_deg)
     assert predictor.for_size(96, 60) is predictor  # 48 pixels a row after averaging, and the training had 24
-    found = predictor.for_size(28, 18).predict(z, fields_of_view_deg=views_deg)
-    assert found.mask.shape[1:] == (18, 28)
+    assert predictor.for_size(24, 20) is predictor  # another aspect ratio
+    found = predictor.for_size(28, 17).predict(z, fields_of_view_deg=views_deg)
+    assert found.mask.shape[1:] == (17, 28)
     judged_m = [scene.prediction.depth_mae_m for scene in report.scenes]
     truth_m = open_shards(large).read(rows).radial_depth_m
     np.testing.assert_allclose(np.abs(found.radial_depth_m - truth_m).mean((1, 2)), judged_m, rtol=1e-5)
