@@ -25,6 +25,7 @@ from itof.wall.wall_phases import WallRays
 from itof.wall.wall_search import found, locate_wall
 
 _LARGEST_STD_M: Final = 0.015  # about as a tape measure's
+_DARK: Final = 0.02  # of the light of bright pixels over that of a diffuse wall: no wall is seen there
 LARGEST_TILT_DEG: Final = 2.0  # about as a camera is turned by hand
 
 
@@ -131,10 +132,22 @@ def captured_wall(corner: Phasors, wall: NumpyWall) -> NumpyWall:
 
     Returns
     -------
-    The wall, with `corner` as its return, the plane of the capture, and weights in any unit.
+    The wall, with `corner` as its return, 0 where it holds only noise, the plane of the capture, and weights
+    in any unit.
     """
+    corner = _without_dark(corner, wall)
     seen = find_wall([corner], wall)
     return captured_at(corner, wall, seen.plane_per_m) if seen.is_certain else wall.captured(corner)
+
+
+def _without_dark(corner: Phasors, wall: NumpyWall) -> Phasors:
+    """A capture (H, W, F) with 0 in pixels that show no wall, such as those of a black middle wall.
+
+    Their noise would be divided by noise.
+    """
+    expected = np.abs(wall.direct[..., 0])
+    share = np.abs(corner[..., 0]) / np.where(expected > 0, expected, np.inf)  # (H, W)
+    return np.where((share < _DARK * np.quantile(share, 0.9))[..., None], 0, corner)
 
 
 def captured_at(corner: Phasors, wall: NumpyWall, plane_per_m: Floats) -> NumpyWall:

@@ -108,6 +108,20 @@ def test_the_channels_of_a_capture_are_those_of_the_wall_where_it_is():
     assert elsewhere > 5 * there
 
 
+def test_noise_of_a_capture_where_it_shows_no_wall_is_no_return():
+    """A black middle wall at the right; the relay wall gets darker towards it, to a fifth."""
+    brightness, dark = np.linspace(1, 0.2, WIDTH)[:, None], np.zeros((HEIGHT, WIDTH), bool)
+    dark[:, -4:] = True
+    noise = (
+        3e-4 * np.abs(TRUE.direct).mean() * np.exp(2j * np.pi * np.random.default_rng(0).random(dark.shape))
+    )
+    capture = np.where(dark[..., None], noise[..., None], camera(TRUE.direct) * brightness)
+    found = captured_wall(capture, WALL)
+    np.testing.assert_array_equal((found.direct == 0).all(axis=-1), dark)
+    np.testing.assert_array_equal(found.direct[~dark], capture[~dark])
+    assert angle_deg(found.plane_per_m, TRUE.plane_per_m) < 0.5
+
+
 def test_a_dark_corner_leaves_the_wall_where_it_is_expected():
     dark = np.zeros((HEIGHT, WIDTH, 3), complex)
     np.testing.assert_array_equal(captured_wall(dark, WALL).plane_per_m, WALL.plane_per_m)
