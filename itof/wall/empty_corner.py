@@ -25,7 +25,10 @@ from itof.wall.wall_phases import WallRays
 from itof.wall.wall_search import found, locate_wall
 
 _LARGEST_STD_M: Final = 0.015  # about as a tape measure's
-_DARK: Final = 0.02  # of the light of bright pixels over that of a diffuse wall: no wall is seen there
+# Of the light of bright pixels, over that of a diffuse wall: darker ones see no wall. Of the pixels of a
+# scene of the presets, with glossy and dark walls, fewer than one in a thousand are darker; the noise of a
+# hundred exposures is.
+_DARK: Final = 0.02
 LARGEST_TILT_DEG: Final = 2.0  # about as a camera is turned by hand
 
 

@@ -25,7 +25,10 @@ _SOON, _LATER = 16_384, 262_144  # scenes
 
 
 def course_sentence(no_object_cm: float, *, one_corner: bool) -> str:
-    """How long a training from a network that comes with the program takes, and what it leaves."""
+    """How long a training from a network that comes with the program takes, and what MAE it leaves.
+
+    `no_object_cm` is the MAE of predicting no object, cm.
+    """
     soon, later = (
         f"{samples / _SCENES_PER_S / 60:.0f} minutes an MAE of about "
         f"{expected_mae_cm(samples, no_object_cm, one_corner=one_corner, start_cm=inf):.1f} cm"
