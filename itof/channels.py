@@ -13,7 +13,7 @@ import numpy as np
 from array_api_compat import array_namespace, is_numpy_array
 
 from itof.arrays import A, Array, ChannelsOf, PhasorsOf, PixelsOf
-from itof.other_surfaces import only_wall
+from itof.other_surfaces import is_dark, only_wall
 from itof.weighted_reference import SubpixelWeights, check_weights, quotient, weighted_reference
 
 
@@ -58,7 +58,8 @@ def residual_channels(
     r_f = (z_f / reference_f) |reference_0| / |z_0|. The division by the relay wall's known direct return
     removes its phase, and the loss of amplitude at higher frequencies that the different paths within a pixel
     cause. The direct part of r_f is 1 at every frequency and cancels in the channels; the hidden part, about
-    0.2 % of the signal, remains (docs/science/design.md, Input channels). Pixels without light are 0.
+    0.2 % of the signal, remains (docs/science/design.md, Input channels). Pixels that show no wall are 0
+    (`itof.other_surfaces.is_dark`).
 
     *Weights.* The reference is that of a Lambertian wall. For a wall with another lobe, the different paths
     within a pixel have other weights. They are taken from the measured amplitudes
@@ -94,8 +95,12 @@ def residual_channels(
     known = _array(reference)
     _check_reference(known.shape, z.shape)
     known = _weighted(known, xp.abs(z[..., 0]), weights)
-    turned = quotient(xp, z, known) * quotient(xp, xp.abs(known[..., :1]), xp.abs(z[..., :1]))
+    light = xp.abs(z[..., :1])  # (..., H, W, 1)
+    strength = xp.abs(known[..., :1])
+    turned = quotient(xp, z, known) * quotient(xp, strength, light)
+    dark = is_dark(quotient(xp, light, strength)[..., 0])
     turned = only_wall(turned) if wall_alone else turned
+    turned = xp.where(dark[..., None], xp.zeros_like(turned), turned)
     real = xp.real(turned)
     return _image_axes_last(xp, [xp.imag(turned), real[..., 1:] - real[..., :1]])
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from itof.arrays import Floats, Phasors
 from itof.light import OFFSET_STD_RAD
+from itof.other_surfaces import is_dark
 from itof.wall.expected_wall import NumpyWall, angle_deg, distance_m, strength_elsewhere
 from itof.wall.finding import length
 from itof.wall.wall_fit import plane_std
@@ -25,10 +26,6 @@ from itof.wall.wall_phases import WallRays
 from itof.wall.wall_search import found, locate_wall
 
 _LARGEST_STD_M: Final = 0.015  # about as a tape measure's
-# Of the light of bright pixels, over that of a diffuse wall: darker ones see no wall. Of the pixels of a
-# scene of the presets, with glossy and dark walls, fewer than one in a thousand are darker; the noise of a
-# hundred exposures is.
-_DARK: Final = 0.02
 LARGEST_TILT_DEG: Final = 2.0  # about as a camera is turned by hand
 
 
@@ -138,19 +135,11 @@ def captured_wall(corner: Phasors, wall: NumpyWall) -> NumpyWall:
     The wall, with `corner` as its return, 0 where it holds only noise, the plane of the capture, and weights
     in any unit.
     """
-    corner = _without_dark(corner, wall)
+    expected = np.abs(wall.direct[..., 0])
+    light = np.abs(corner[..., 0]) / np.where(expected > 0, expected, np.inf)  # (H, W)
+    corner = np.where(is_dark(light)[..., None], 0, corner)
     seen = find_wall([corner], wall)
     return captured_at(corner, wall, seen.plane_per_m) if seen.is_certain else wall.captured(corner)
-
-
-def _without_dark(corner: Phasors, wall: NumpyWall) -> Phasors:
-    """A capture (H, W, F) with 0 in pixels that show no wall, such as those of a black middle wall.
-
-    Their noise would be divided by noise.
-    """
-    expected = np.abs(wall.direct[..., 0])
-    share = np.abs(corner[..., 0]) / np.where(expected > 0, expected, np.inf)  # (H, W)
-    return np.where((share < _DARK * np.quantile(share, 0.9))[..., None], 0, corner)
 
 
 def captured_at(corner: Phasors, wall: NumpyWall, plane_per_m: Floats) -> NumpyWall:

@@ -51,6 +51,21 @@ def test_strong_hidden_light_is_no_edge():
     np.testing.assert_array_equal(residual_channels(seen, reference, wall_alone=True), expected)
 
 
+@pytest.mark.parametrize("wall_alone", [True, False])
+def test_noise_of_pixels_that_show_no_wall_is_no_hidden_light(wall_alone):
+    """A black middle wall at the right, before a wall that gets darker towards it, to a fifth."""
+    reference = wall(WIDTH, HEIGHT)
+    dark = np.arange(WIDTH) >= 32
+    seen = (reference + hidden_light(reference, 2e-3)) * np.linspace(1, 0.2, WIDTH)[:, None]
+    turns = np.random.default_rng(0).random((HEIGHT, WIDTH, 1))
+    noise = 3e-4 * np.abs(reference).mean() * np.exp(2j * np.pi * turns)
+    found = residual_channels(np.where(dark[:, None], noise, seen), reference, wall_alone=wall_alone)
+    assert not found[..., dark].any()
+    inside = np.arange(WIDTH) < 30  # apart from pixels at the edge
+    expected = residual_channels(seen, reference, wall_alone=wall_alone)
+    np.testing.assert_array_equal(found[..., inside], expected[..., inside])
+
+
 def test_each_image_has_its_own_pixels_left_out_in_numpy_and_in_torch():
     reference = wall(WIDTH, HEIGHT)
     images = np.stack([reference, cut()]) * 1.001
