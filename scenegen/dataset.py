@@ -14,7 +14,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
@@ -35,8 +35,12 @@ from scenegen.rendering_record import RenderingRecord, read_rendering_record
 from scenegen.scene import Scene, Split
 from scenegen.scene_folder import SCENE_FILE, digest_of, scene_of
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 DATASET_SCHEMA: Final = 4
 MEASURED_GENERATOR = "night-eval capture pairs"  # of datasets whose measurements are those of a camera
+_MOST_PLOTTED: Final = 500  # scenes from above
 _PACKAGES = ("night-nlos", "bpy", "numpy", "trimesh")  # what a scene's bytes may depend on
 
 
@@ -173,6 +177,12 @@ class Dataset(Told):
     def shard_folder(self) -> Path:
         """Folder of the arrays that training reads."""
         return inside(self.root, "shards")
+
+    def plot(self) -> Figure:
+        """Walls, cameras and hidden objects from above, of the first 500 scenes."""
+        from scenegen.plan import plot_plan
+
+        return plot_plan([self.scene(each) for each in self.ids()[:_MOST_PLOTTED]])
 
     def scene(self, scene: str) -> Scene:
         """The scene's data; `DatasetError` when its file is missing or damaged."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from itof.files.measurement_writing import ENDINGS, write_measurement
 from itof.pinhole import pixel_rays
 from itof.wall.finding import Finding
 from itof.wall.image_defects import depth_defects, image_defects
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,6 +54,20 @@ class ImportedCapture(Told):
             told += [f"empty corner: {sentence}" for sentence in self.reference.facts.sentences]
             told += _added(self.capture, self.reference)
         return (*told, f"measurement file {self.out}, its record {self.record}")
+
+    def plot(self) -> Figure:
+        """Amplitude and phase of the capture and of the empty corner, a row for each frequency."""
+        from itof.pictures.plots import phasor_panels, plot_panels
+
+        captures = {"": self.capture, "empty corner": self.reference}
+        return plot_panels(
+            [
+                row
+                for name, each in captures.items()
+                if each is not None
+                for row in phasor_panels(each.phasor, each.frequencies_hz, name)
+            ]
+        )
 
 
 def import_capture(

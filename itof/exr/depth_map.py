@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,9 @@ from itof.exr.header import ImageFileError
 from itof.exr.image import Image, phasor_channels, read_image, write_image
 from itof.light import phasor_of_return
 from itof.pinhole import z_from_radial
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DEPTH_CHANNEL, MASK_CHANNEL, ERROR_CHANNEL = "depth.R", "mask.M", "depth_error.R"
 
@@ -84,6 +88,23 @@ class DepthMap:
         if self.mask.ndim != 2:
             return None
         return panel_png("depth, m", np.where(self.mask, self.radial_depth_m, np.nan), "viridis")
+
+    def plot(self) -> Figure:
+        """Depth and, where it is known, its expected error; a row for each of several images (N, H, W)."""
+        from itof.pictures.plots import Panel, plot_panels
+
+        def row(one: DepthMap) -> list[Panel]:
+            images = {"depth, m": one.radial_depth_m, "expected error, m": one.depth_error_m}
+            seen = {
+                name: np.where(one.mask, values, np.nan)
+                for name, values in images.items()
+                if values is not None
+            }
+            return [Panel(*each) for each in seen.items()]
+
+        return plot_panels(
+            [row(self)] if self.mask.ndim == 2 else [row(self[place]) for place in range(len(self.mask))]
+        )
 
     def channels(self) -> dict[str, NDArray[np.float32]]:
         """EXR channels of one depth map (H, W): ``depth.R``, ``mask.M``, ``itof.<f>MHz.Re`` and ``.Im``, and

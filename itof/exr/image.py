@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,9 @@ from disk.machine_memory import memory_shortage
 from disk.told import Told
 from itof.exr.header import ImageFileError
 from itof.exr.library import ExrInput, ExrOutput
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIELD_OF_VIEW = "horizontal_fov_deg"  # attribute of images; an array of other measurement files
 PROJECTOR = "projector"  # attribute of measurements whose light is no flash at the camera
@@ -66,6 +70,16 @@ class Image(Told):
                 for mhz in labels
             ]
         return np.stack(parts, axis=-1).astype(np.complex64), tuple(float(f"{mhz}e6") for mhz in labels)
+
+    def plot(self) -> Figure:
+        """Amplitude and phase of the phasors, a row for each frequency, and the other channels."""
+        from itof.pictures.plots import Panel, phasor_panels, plot_panels
+
+        found = [_PHASOR_CHANNEL.fullmatch(name) for name in self.channels]
+        prefixes = dict.fromkeys(match["prefix"] for match in found if match)
+        rows = [row for each in prefixes for row in phasor_panels(*self.phasors(each), each)]
+        others = [name for name, match in zip(self.channels, found, strict=True) if not match]
+        return plot_panels([*rows, *([Panel(name, self.channels[name])] for name in others)])
 
     def _names(self) -> str:
         first = ", ".join(sorted(self.channels)[:_MOST_NAMES])

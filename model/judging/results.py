@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from model.judging.groups import GroupTable
 from model.judging.reliability import DepthReliability, Reliability
 from model.judging.scene_result import SceneResult
 from scenegen import Split
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PAPER_RELATIVE_MAE = (0.01, 0.02)  # about; of a mean distance of about 3 m
 PAPER = {
@@ -133,6 +136,13 @@ class Report(Told):
         )
         scenes = counted(len(self.scenes), "scene")
         return (f"{scenes} of the split {self.split}: MAE {ours} (no object: {nothing})", *self.warnings)
+
+    def plot(self) -> Figure:
+        """Histograms of MAE, mIoU and accuracy, and the accuracy beside the paper's."""
+        from model.judging.report.chart_png import plot_charts
+        from model.judging.report.charts import distributions
+
+        return plot_charts(distributions(self))
 
     def seconds(self, result: SceneResult) -> float:
         """Time of a frame of a sequence, from the first on; 0 where the scenes are none."""

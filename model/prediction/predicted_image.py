@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from disk.counted import counted
 from disk.told import Told
@@ -13,6 +15,9 @@ from itof.wall.check_result import MeasurementCheck, WallSummary
 from itof.wall.empty_corner import CapturedPlane
 from model.prediction.explained_light import ExplainedLight
 from model.prediction.explanation import Explanation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LEAST_TOLD_M: Final = 1e-3
 _MOST_SHOWN: Final = 8  # pictures in a notebook
@@ -118,6 +123,25 @@ class FilePrediction(Told):
         """The outcome as text: the reference, the wall, and what each image shows."""
         wall = () if self.wall is None else (self.wall.sentence,)
         return (*self.check.sentences, *wall, *(image.sentence for image in self.images))
+
+    def plot(self) -> Figure:
+        """The pictures of the first images, below each other.
+
+        Raises
+        ------
+        FileNotFoundError : no pictures were drawn.
+        """
+        import matplotlib.pyplot as plt
+
+        pictures = [plt.imread(self.folder / f"{image.name}.png") for image in self.images[:_MOST_SHOWN]]
+        height, width = np.sum([picture.shape[0] for picture in pictures]), pictures[0].shape[1]
+        figure, axes = plt.subplots(
+            len(pictures), figsize=(12, 12 * height / width), squeeze=False, layout="constrained"
+        )
+        for place, picture in zip(axes[:, 0], pictures, strict=True):
+            place.imshow(picture)
+            place.axis("off")
+        return figure
 
     def _repr_html_(self) -> str:
         """The sentences, and the pictures of the first images, for a notebook."""

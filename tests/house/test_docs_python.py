@@ -31,9 +31,9 @@ def test_the_page_imports_public_names_only():
 )
 def test_the_page_goes_from_a_mesh_to_a_picture_of_the_prediction(tmp_path, scenes, epochs, least_share):
     check = f"""
-shown_as_object = np.count_nonzero(prediction.mask & truth.mask) / np.count_nonzero(truth.mask)
+shown_as_object = (prediction.mask & truth.mask).sum() / truth.mask.sum()
 assert shown_as_object >= {least_share}, shown_as_object
-assert other_z.shape == (30, 40, 2) and np.abs(z).min() > 0
+assert other_z.shape == (30, 40, 2) and abs(z).min() > 0
 """
     page = "\n".join([*BLOCKS, check])
     for old, new in (('"count": 150', f'"count": {scenes}'), ('"max_epochs": 80', f'"max_epochs": {epochs}')):
@@ -50,8 +50,5 @@ assert other_z.shape == (30, 40, 2) and np.abs(z).min() > 0
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"{scenes} scenes in corner: ")
-    picture = png.imread(tmp_path / "corner.png")
-    assert picture.shape == (450, 1950, 4)
-    assert all(
-        panel[..., :3].std() > 0.05 for panel in np.split(picture[:, :1948], 4, axis=1)
-    )  # none is blank
+    panels = np.split(png.imread(tmp_path / "corner.png")[..., :3], 2, axis=1)
+    assert all(panel.std() > 0.05 for panel in panels)  # none is blank

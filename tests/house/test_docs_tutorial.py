@@ -1,4 +1,4 @@
-"""The pages of docs/tutorial, and a section of another, run word for word: each in an empty folder."""
+"""The pages of docs/tutorial run word for word, each in an empty folder."""
 
 import os
 import re
@@ -10,10 +10,7 @@ import pytest
 from source_tree import ROOT
 
 PAGES = sorted((ROOT / "docs/tutorial").glob("*.md"))
-SEQUENCE = re.search(
-    r"^## A sequence\n(.*?)^## ", (ROOT / "docs/guide/datasets.md").read_text(), re.M | re.S
-)[1]
-TEXTS = {**{page.stem: page.read_text() for page in PAGES}, "a sequence": SEQUENCE}
+TEXTS = {page.stem: page.read_text() for page in PAGES}
 BLOCK = re.compile(r"^```(sh|python|toml|output)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 # Of a number that networks compute. No derivation: a training enlarges the rounding of another processor, and

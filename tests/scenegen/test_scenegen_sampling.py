@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from scenegen import (
     scene_from_json,
     scene_to_json,
 )
+from scenegen.plan import plot_plan
 
 
 @pytest.fixture(scope="module")
@@ -239,3 +241,22 @@ def test_toml_that_is_no_json_is_refused(tmp_path, text):
     file.write_text(text)
     with pytest.raises(PresetError, match=f"{file}: "):
         load_preset(file)
+
+
+def test_from_above_every_object_is_where_its_scene_has_it(paper_scenes):
+    scenes = paper_scenes[:40]
+    figure = plot_plan(scenes)
+    plt.close(figure)
+    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+    assert set(lines) == {
+        "relay wall",
+        "lit and seen",
+        "middle wall",
+        "camera",
+        *(s.object_class for s in scenes),
+    }
+    spheres = [s.hidden_objects[0].location_m[:2] for s in scenes if s.object_class == "sphere"]
+    np.testing.assert_array_equal(lines["sphere"], spheres)
+    (x, y), *_ = lines["camera"]
+    assert (x, y) == scenes[0].camera.location_m[:2]
+    assert np.abs(lines["lit and seen"][:, 0]).max() < 1e-9  # on the relay wall, in the plane x = 0

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import training_runs
@@ -186,6 +187,15 @@ def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(
     assert averages == pytest.approx([report.no_object.miou.mean, report.prediction.miou.mean])
     curve = next(part for part in charts["calibration_miou"]["parts"] if part["kind"] == "curve")
     assert curve["y"][curve["x"].index(0.5)] == report.calibration.judged.at(0.5).miou
+
+
+def test_a_report_in_a_notebook_has_the_distributions_of_the_page(judged):
+    report, _ = judged
+    figure = report.plot()
+    plt.close(figure)
+    assert [axes.get_xlabel() for axes in figure.axes][:2] == ["MAE over all pixels, cm", "mIoU"]
+    counts = sum(patch.get_height() for patch in figure.axes[0].patches)
+    assert counts == 2 * len(report.scenes)  # prediction and "no object"
 
 
 def test_every_figure_is_a_pdf_too_with_the_same_bytes_each_time(judged_run, tmp_path):

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from io import BytesIO
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import trimesh
@@ -185,8 +186,13 @@ def test_a_dark_image_can_be_forced_and_drawn(seeing_run, phasors, tmp_path):
 
 def test_a_notebook_shows_the_pictures_and_no_markup_of_others(seeing_run, exr, phasors, tmp_path):
     two = write_npz(tmp_path / "two.npz", phasors=phasors[:2], **{"<b>": np.zeros(1)})
-    shown = predict(seeing_run, two, tmp_path / "out")._repr_html_()
+    predicted = predict(seeing_run, two, tmp_path / "out")
+    shown = predicted._repr_html_()
     assert shown.count('<img src="data:image/png;base64,') == 2
+    figure = predicted.plot()
+    plt.close(figure)
+    assert all(axes.images[0].get_array().std() > 0.1 for axes in figure.axes)
+    assert len(figure.axes) == 2
     assert "<b>" not in shown
     assert "&lt;b&gt;" in shown
     one = written(tmp_path / "out")
