@@ -55,7 +55,7 @@ def _pictures(frames: Iterable[FilmFrame], range_m: tuple[float, float]) -> Iter
 
     page = None
     for frame in frames:
-        views = [_enlarged(_levels(view, range_m)) for view in frame.views.values()]
+        views = [_enlarged(depth_levels(view, range_m)) for view in frame.views.values()]
         height, width = views[0].shape
         if page is None:
             page = _page([*frame.views], height, width, range_m)
@@ -65,7 +65,7 @@ def _pictures(frames: Iterable[FilmFrame], range_m: tuple[float, float]) -> Iter
             drawn[_TOP : _TOP + height, left : left + width] = view
         _write(drawn, (_MARGIN, _MARGIN), frame.caption)
         picture = Image.fromarray(drawn).convert("P")
-        picture.putpalette(_palette())
+        picture.putpalette(depth_palette())
         yield picture
 
 
@@ -95,7 +95,7 @@ def _write(page: Levels, place_xy: tuple[float, float], words: str, anchor: str 
     page[grey < 1] = (_COLOURS + grey[grey < 1] * (_GREYS - 1)).round()
 
 
-def _palette() -> bytes:
+def depth_palette() -> bytes:
     """256 colours: of the depth from near to far, then from black to white."""
     from matplotlib import colormaps
 
@@ -104,7 +104,7 @@ def _palette() -> bytes:
     return (255 * np.concatenate([depth, grey])).round().astype(np.uint8).tobytes()
 
 
-def _levels(view: DepthMap, range_m: tuple[float, float]) -> Levels:
+def depth_levels(view: DepthMap, range_m: tuple[float, float]) -> Levels:
     """(H, W) colours of a depth map."""
     near_m, far_m = range_m
     share = np.clip((view.radial_depth_m - near_m) / (far_m - near_m), 0, 1)

@@ -111,11 +111,12 @@ def evaluate(
     with whole_folder(out) as folder:
         clouds = folder / "pointclouds"
         clouds.mkdir()
-        report = replace(judge_split(bench, split, clouds), unlike_training=unlike)
+        judged, sheet = judge_split(bench, split, clouds)
+        report = replace(judged, unlike_training=unlike)
         shown = list(shown_scenes(bench, choose(report.ranked)))
         figured = list(shown_scenes(bench, choose_for_figures(report.ranked, scenes)))
         write_sequence_film(folder, bench, report)
-        write_page(folder, report, shown, figured, history, predictor.config, _origin(bench, run))
+        write_page(folder, report, sheet, shown, figured, history, predictor.config, _origin(bench, run))
         write_files(folder, report, _origin(bench, run))
         refuse_other_contents(out)  # which may have got other files meanwhile
     return report

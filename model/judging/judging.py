@@ -29,6 +29,7 @@ from model.judging.groups import group_tables
 from model.judging.reliability import DepthReliabilityCount, ReliabilityCount
 from model.judging.results import Report
 from model.judging.scene_result import SceneResult, judge_scene
+from model.judging.scene_sheet import SceneSheet
 from model.judging.showcase import ShownScene
 from model.network.readout import Readout
 from model.prediction.explained_light import ExplainedLight
@@ -90,8 +91,8 @@ class Bench:
         return self.predictor.config.inputs.places(self.shards.manifest.frequencies_hz)
 
 
-def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
-    """Metrics of every scene of a split; their point clouds are written to the folder `clouds`.
+def judge_split(bench: Bench, split: Split, clouds: Path) -> tuple[Report, SceneSheet]:
+    """Metrics of every scene of a split, and their pictures; point clouds are written to the folder `clouds`.
 
     Raises
     ------
@@ -101,6 +102,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
     reliability, depth_reliability = ReliabilityCount(), DepthReliabilityCount()
     has_probability = bench.predictor.config.settings.predicts_probability
     results: list[SceneResult] = []
+    sheet = SceneSheet(len(bench.shards.rows(split)))
     for block, predictions in bench.predictions(split):
         sweep.add(predictions.phasor, block.radial_depth_m, block.mask)
         reliability.add(predictions.phasor, block.mask)
@@ -114,6 +116,8 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
                 scene, prediction, truth_m, mask, lights[index], has_probability=has_probability
             )
             results.append(result)
+            truth = DepthMap.of_object(truth_m, mask > 0, bench.readout.frequency_hz)
+            sheet.add(name, truth, prediction)
             points_gt_m = object_points(truth_m, mask, fov_deg)
             points_pred_m = object_points(prediction.radial_depth_m, prediction.mask, fov_deg)
             _write_clouds(clouds, name, points_gt_m, points_pred_m)
@@ -121,7 +125,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
     if any(bare):
         _log.info("no object, so no point cloud: in %d predictions and %d true images", *bare)
     location = bench.dataset.preset.places_m
-    return Report(
+    report = Report(
         split=split,
         scenes=tuple(results),
         prediction=summarise([r.prediction for r in results]),
@@ -132,6 +136,7 @@ def judge_split(bench: Bench, split: Split, clouds: Path) -> Report:
         depth_reliability=depth_reliability.curve(),
         frame_rate_hz=bench.dataset.preset.dataset.frame_rate_hz,
     )
+    return report, sheet
 
 
 def _calibration(bench: Bench, judged: ThresholdCurve) -> Calibration:

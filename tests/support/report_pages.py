@@ -57,6 +57,8 @@ class Page(HTMLParser):
         for name in ("data-chart", "data-cloud"):
             if name in given:
                 self.drawn[given[name]] = given.get("data-drawn")
+        if given.get("id") == "scene-box":
+            self.drawn["every scene"] = given.get("data-drawn")
         if "data-chart" in given:
             self._chart = {name: [] for name in (*CHART_TEXTS, "js-line", "point")}
             self.charts[given["data-chart"]] = self._chart

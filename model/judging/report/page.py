@@ -32,12 +32,14 @@ from model.judging.report.charts import (
 from model.judging.report.report_scenes import (
     cloud_colours,
     clouds_picture,
+    every_scene,
     film_picture,
     point_clouds,
     scenes_picture,
 )
 from model.judging.report_files import GROUP_HEAD, SUMMARY_HEAD, group_texts, summary_rows
 from model.judging.results import PAPER, Report
+from model.judging.scene_sheet import SceneSheet
 from model.judging.showcase import ShownScene
 from model.run_folder.run_config import RunConfig
 
@@ -53,6 +55,7 @@ TILES = (  # field of Summary, name, scale, format
 def write_page(
     out: Path,
     report: Report,
+    sheet: SceneSheet,
     shown: Sequence[ShownScene],
     figured: Sequence[ShownScene],
     history: Mapping[str, Sequence[float]],
@@ -65,6 +68,7 @@ def write_page(
 
     Parameters
     ----------
+    sheet : the pictures of all scenes.
     shown : the scenes to show one by one, as pictures and as point clouds.
     figured : the scenes to show in the figures of several scenes.
     history : columns of the run's ``history.csv``, as it was with the weights that were judged.
@@ -104,6 +108,7 @@ def write_page(
         film=film_picture(out) if report.frame_rate_hz else None,
         frame_rate_hz=report.frame_rate_hz,
         scenes_picture=scenes_picture(figured, target, figures / "scenes.png"),
+        every_scene=every_scene(report, sheet),
         clouds=point_clouds(shown),
         clouds_picture=clouds_picture(figured, figures),
         cloud_colours=cloud_colours(),

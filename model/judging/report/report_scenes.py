@@ -29,6 +29,8 @@ from itof.pictures.pointclouds import (
 )
 from model.judging.report.scenes_figure import describe, scenes_figure
 from model.judging.report.sequence_film import FILM_FILE
+from model.judging.results import Report
+from model.judging.scene_sheet import SceneSheet
 from model.judging.showcase import Cloud, ShownScene, cloud_of, short_name
 
 COLUMNS = 5  # scenes side by side
@@ -49,6 +51,18 @@ def scenes_picture(scenes: Sequence[ShownScene], target: str, file: Path) -> dic
         for one in scenes
     )
     return _written(file, scenes_figure(scenes, target), f"Truth and prediction. {said}")
+
+
+def every_scene(report: Report, sheet: SceneSheet) -> dict[str, Any]:
+    """The picture of all scenes by accuracy, and what the page says of each, for ``scenes.js``."""
+    ranked = report.ranked
+    ranges_m = [sheet.ranges_m[result.scene] for result in ranked]
+    texts = [
+        f"{place} of {len(ranked)}: {result.scene}, {result.object_class}, {describe(result.prediction)}; "
+        f"colours from {near_m:.2f} to {far_m:.2f} m"
+        for place, (result, (near_m, far_m)) in enumerate(zip(ranked, ranges_m, strict=True), 1)
+    ]
+    return {**sheet.as_data([result.scene for result in ranked]), "texts": texts}
 
 
 def clouds_picture(figured: Sequence[ShownScene], figures: Path) -> dict[str, Any]:

@@ -4,20 +4,26 @@ import csv
 import json
 import re
 import shutil
+from base64 import b64decode
+from io import BytesIO
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import training_runs
+from PIL import Image
 from report_pages import AT_NIGHT, WITH_WEBGL, WITHOUT_WEBGL, Page, browse, needs_chromium
 from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 
+from itof import DepthMap
 from itof.metrics import image_metrics
-from itof.pictures.figures import write_pdf
+from itof.pictures.depth_film import depth_levels
+from itof.pictures.figures import depth_range, write_pdf
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
 from model.judging.report.chart_png import chart_figure
 from model.judging.report.charts import training_curves
+from model.judging.scene_sheet import SceneSheet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.training.loop import train
@@ -189,6 +195,32 @@ def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(
     assert curve["y"][curve["x"].index(0.5)] == report.calibration.judged.at(0.5).miou
 
 
+def test_the_page_holds_truth_and_prediction_of_every_scene_by_accuracy(judged, run, dataset):
+    report, folder = judged
+    sheet = Page((folder / "index.html").read_text()).data["scene-data"]
+    content = b64decode(sheet["src"].removeprefix("data:image/png;base64,"))
+    picture = np.asarray(Image.open(BytesIO(content)))  # places in the palette
+    shards = open_shards(dataset, progress=False)
+    place = len(report.scenes) - 2
+    result = report.ranked[place]
+    assert sheet["texts"][place].startswith(f"{place + 1} of {len(report.scenes)}: {result.scene}, ")
+    row = [scene.id for scene in shards.manifest.scenes].index(result.scene)
+    block = shards.read([row])
+    predicted = load(run, "cpu").predict(block.phasors[0])
+    truth = DepthMap.of_object(block.radial_depth_m[0], block.mask[0] > 0, 20e6)
+    down, right = divmod(place, sheet["columns"])
+    height, width = sheet["height"], sheet["width"]
+    tile = picture[down * height :, right * width :][:height, :width]
+    for side, one in ((tile[:, : width // 2], truth), (tile[:, width // 2 + 1 :], predicted)):
+        np.testing.assert_array_equal(side, depth_levels(one, depth_range(truth, predicted)))
+
+
+def test_the_picture_of_very_many_large_scenes_leaves_out_rows_and_columns():
+    sheet, mask = SceneSheet(count=500), np.ones((240, 320), bool)
+    sheet.add("000000", *[DepthMap.of_object(2.0 * mask, mask, 20e6)] * 2)
+    assert 500 * sheet.tiles["000000"].size < 1.1 * 4e6
+
+
 def test_a_report_in_a_notebook_has_the_distributions_of_the_page(judged):
     report, _ = judged
     figure = report.plot()
@@ -295,7 +327,8 @@ def test_a_browser_draws_charts_and_point_clouds_without_an_error(hostile, tmp_p
     document, console = browse(hostile[1] / "index.html", tmp_path, WITH_WEBGL)
     page = Page(document)
     assert clouds(page) == ["plotly"] * 3
-    assert page.tags.count("canvas") == 3
+    assert page.tags.count("canvas") == 4  # with that of every scene
+    assert page.drawn["every scene"] == "0"
     assert_drawn(page)
     assert "data-errors" not in document.split("<head")[0]
     bad = [
