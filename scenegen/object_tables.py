@@ -45,6 +45,8 @@ class Thing:
     up : axis of the mesh that becomes the scene's z; None for z, and for y in a GLB file.
     rotation_deg : as `HiddenObjectSettings.rotation_deg`, which None takes.
     reflectance : times that of `HiddenObjectSettings`.
+    path_m : waypoints of its centre over a sequence, at equal steps of time, joined by straight lines.
+    path_deg : the same for its angles, in place of `rotation_deg`.
     """
 
     file: Annotated[str, AfterValidator(_mesh_file)] | None = None
@@ -54,8 +56,12 @@ class Thing:
     up: UpAxis | None = None
     rotation_deg: RotationRanges | None = None
     reflectance: Reflectance = 1.0
+    path_m: Annotated[tuple[Location, ...] | None, _OF_PATHS] = None
+    path_deg: Annotated[tuple[Rotation, ...] | None, _OF_PATHS] = None
 
     def __post_init__(self) -> None:
+        if self.path_deg and self.rotation_deg:
+            raise ValueError("give path_deg or rotation_deg, not both")
         if (self.file is None) == (self.shape is None):
             raise ValueError("an object has either a file or a shape")
         if self.file is None and (self.unit or self.up):
@@ -97,9 +103,17 @@ class OffsetRanges:
 
 @dataclass(frozen=True, config=STRICT)
 class BesideObject(Thing):
-    """An object that is in a scene with another one, whose centre its own is `offset_m` from."""
+    """An object that is in a scene with another one, whose centre its own is `offset_m` from.
+
+    In a sequence, one without `path_m` moves with the other, but does not turn with it.
+    """
 
     offset_m: OffsetRanges = OffsetRanges()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.path_m and self.offset_m != OffsetRanges():
+            raise ValueError("give path_m or offset_m, not both")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -109,20 +123,15 @@ class ListedObject(Thing):
     Attributes
     ----------
     location_m : as `HiddenObjectSettings.location_m`, which None takes.
-    path_m : waypoints of its centre over a sequence, at equal steps of time, joined by straight lines.
-    path_deg : the same for its angles, in place of `rotation_deg`.
     """
 
     location_m: LocationRanges | None = None
     beside: tuple[BesideObject, ...] = ()
-    path_m: Annotated[tuple[Location, ...] | None, _OF_PATHS] = None
-    path_deg: Annotated[tuple[Rotation, ...] | None, _OF_PATHS] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for path, ranges in (("path_m", "location_m"), ("path_deg", "rotation_deg")):
-            if getattr(self, path) and getattr(self, ranges):
-                raise ValueError(f"give {path} or {ranges}, not both")
+        if self.path_m and self.location_m:
+            raise ValueError("give path_m or location_m, not both")
 
     def places_m(self, usual: LocationRanges) -> LocationRanges:
         """Ranges of its centre: around its path, its own or the usual ones."""

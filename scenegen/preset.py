@@ -242,7 +242,8 @@ class Preset:
     def __post_init__(self) -> None:
         if self.object and self.hidden_object.shapes != PRIMITIVES:
             raise ValueError("give hidden_object.shapes or tables [[object]], not both")
-        if any(each.path_m or each.path_deg for each in self.object) and not self.is_sequence:
+        moves = any(thing.path_m or thing.path_deg for each in self.object for thing in each.things)
+        if moves and not self.is_sequence:
             raise ValueError("object.path_m and path_deg are for a sequence: give dataset.frame_rate_hz, too")
         if self.is_sequence and (len(self.object) != 1 or self.hidden_object.empty_fraction):
             raise ValueError(

@@ -44,6 +44,8 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
     reflectance = _sample_reflectance(preset, rng)
     wall, darkening = preset.relay_wall, _sample_darkening(preset, rng)
     factor = _sample_size_factor(preset, rng)
+    things = preset.object[0].things if preset.is_sequence else ()
+    on_paths = [part for part, thing in zip(parts, things, strict=False) if thing.path_m]
     return Scene(
         index=index,
         dataset_seed=preset.dataset.seed,
@@ -51,7 +53,9 @@ def sample_scene(preset: Preset, index: int, attempt: int = 0) -> Scene:
         seed=int(np.random.SeedSequence([preset.dataset.seed, index]).generate_state(1)[0]),
         object_class=object_class,
         split=split,
-        hidden_objects=tuple(_finished(part, parts[0], reflectance, factor) for part in parts),
+        hidden_objects=tuple(
+            _finished(part, part if part in on_paths else parts[0], reflectance, factor) for part in parts
+        ),
         relay_wall=RelayWall(
             size_m=wall.size_m,
             location_m=wall.location_m,
@@ -207,11 +211,11 @@ def _sample_listed(preset: Preset, index: int, which: int, rng: np.random.Genera
     for thing in listed.things:
         turns = thing.rotation_deg or usual.rotation_deg
         if isinstance(thing, BesideObject):
-            places.append(_sum(places[0], drawn(thing.offset_m)))
-            turn_deg = drawn(turns)
+            beside = _sum(places[0], drawn(thing.offset_m))
+            places.append(on_path(thing.path_m, index, preset.dataset.count) if thing.path_m else beside)
         else:
             places.append(drawn(listed.location_m or usual.location_m, listed.path_m))
-            turn_deg = drawn(turns, listed.path_deg)
+        turn_deg = drawn(turns, thing.path_deg)
         extent_m = thing.extent_m(usual.size_m)
         parts.append(HiddenObject(thing.name, extent_m, places[-1], turn_deg, thing.reflectance))
     return parts

@@ -70,6 +70,20 @@ def test_an_object_is_on_its_path_at_equal_steps_of_time_and_all_else_is_drawn_o
     assert other.camera != frames[0].camera
 
 
+def test_two_objects_have_paths_of_their_own():
+    other_m, turns_deg = [[1.2, 1.2, 1.9], [1.0, 1.0, 1.9]], [[0, 0, 0], [0, 0, 80]]
+    beside = SMALL | {"path_m": other_m, "path_deg": turns_deg}
+    del beside["rotation_deg"]
+    preset = sequence(
+        SMALL | {"path_m": PATH_M, "beside": [beside]}, hidden_object={"size_factor": [0.5, 0.6]}
+    )
+    frames = [sample_scene(preset, index).hidden_objects for index in range(9)]
+    for which, path_m in ((0, [PATH_M[0], PATH_M[-1]]), (1, other_m)):
+        assert [frames[place][which].location_m for place in (0, 8)] == [tuple(each) for each in path_m]
+    middle = frames[4][1]
+    np.testing.assert_allclose([*middle.location_m, *middle.rotation_deg], [1.1, 1.1, 1.9, 0, 0, 40])
+
+
 def test_a_draw_must_fit_all_frames():
     # A bar of 0.6 m near the edge of the shadow: only some turns of it stay hidden along the path.
     near = [[0.68, 0.9, 1.6], [1.2, 0.9, 1.6]]
@@ -114,6 +128,11 @@ def test_a_path_into_view_or_through_a_wall_is_refused_with_its_first_impossible
         ),
         ({"dataset": {"frame_rate_hz": 0}, "object": [SMALL]}, "frame_rate_hz must be 0.001 to 1e.06 Hz"),
         ({"object": [SMALL | {"path_deg": [[0, 0, 0]] * 2}]}, "give path_deg or rotation_deg, not both"),
+        ({"object": [SMALL | {"beside": [SMALL | {"path_m": PATH_M}]}]}, "give dataset.frame_rate_hz, too"),
+        (
+            {"object": [SMALL | {"beside": [SMALL | {"path_m": PATH_M, "offset_m": {"y": 1}}]}]},
+            "give path_m or offset_m, not both",
+        ),
         ({"object": [{"shape": "cube", "path_m": [[1, 1, 1]]}]}, "path_m"),
         ({"object": [{"shape": "cube", "path_m": [[1, 1], [1, 1]]}]}, "path_m"),
     ],
