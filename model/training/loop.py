@@ -40,11 +40,11 @@ from model.training.refusals import (
     naming_memory,
     output_frequency_hz,
     refuse_images_of_many_corners,
-    refuse_images_without_engine,
     refuse_missing_scenes,
     refuse_other_corner,
     refuse_other_view,
     refuse_start,
+    refuse_without_engine,
 )
 from model.training.state import TrainingState, rows_of
 from processes.progress import showing_progress
@@ -132,7 +132,7 @@ def train(
         stream = FreshScenes.of(fresh, meshes or {}) if fresh else None
         if not resume:
             output_frequency_hz(dataset, settings, stream)  # refuses, before the shards are made
-            refuse_images_without_engine(settings)
+            refuse_without_engine(settings, stream)
         with only_training(out, processes, check):
             return _train(
                 dataset, out, settings, processes, resume, start, stream, meshes or {}, memory_bytes

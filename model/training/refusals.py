@@ -77,8 +77,10 @@ def refuse_images_of_many_corners(dataset: Dataset, settings: TrainSettings) -> 
         )
 
 
-def refuse_images_without_engine(settings: TrainSettings) -> None:
-    """`TrainingError` for images of the three bounces on a machine that cannot compute their light."""
+def refuse_without_engine(settings: TrainSettings, fresh: FreshScenes | None) -> None:
+    """A `NightError` for fresh scenes or images of the three bounces where no light can be computed."""
+    if fresh is not None:
+        CornerLight(())
     if settings.input.bounce_images:
         try:
             CornerLight(())

@@ -26,6 +26,8 @@ from model.refinement.light.inverse import SPREADS, bounce_inverse
 from model.run_folder.run_config import RunError
 from model.training.loop import train
 from model.training.refusals import TrainingError
+from render.backend import BackendError
+from scenegen import open_dataset
 from scenegen.scene import HiddenObject
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -187,6 +189,9 @@ def test_without_the_engine_a_training_with_images_is_refused_before_it_begins(
         TrainingError, match=r"\[render\]', or train .*: --set input.channels.bounce_images=false"
     ):
         train(dataset, tmp_path / "run", settings(**SHOWN))
+    bare = settings(**SHOWN | {"bounce_images": False})
+    with pytest.raises(BackendError, match=r"\[render\]'"):
+        train(dataset, tmp_path / "run", bare, fresh=open_dataset(dataset.root).preset)
     assert not (tmp_path / "run").exists()
 
 
