@@ -9,7 +9,7 @@ channels, is below what the noise hides. With `--out`, a run that was stopped go
 Run:
 
     .venv/bin/python benchmarks/foreign_measurements.py night-80x60 judge --count 300 --foreign --seed 47
-    .venv/bin/python benchmarks/foreign_measurements.py any-corner-80x60 judge-any-corner --count 300
+    .venv/bin/python benchmarks/foreign_measurements.py any-corner judge-any-corner --count 300
     .venv/bin/python benchmarks/foreign_measurements.py night-80x60-camera judge --sensor calibrated mlx75027
 """
 

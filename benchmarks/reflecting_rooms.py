@@ -4,7 +4,7 @@ New scenes at the network's size, in a black room and in rooms of two reflectanc
 `reference` of a prediction. Run:
 
     .venv/bin/python benchmarks/reflecting_rooms.py night-80x60 judge --count 40
-    .venv/bin/python benchmarks/reflecting_rooms.py any-corner-80x60 judge-any-corner --count 40
+    .venv/bin/python benchmarks/reflecting_rooms.py any-corner judge-any-corner --count 40
 
 Median ratio of the room's light to the hidden light at the first frequency, and the errors of the network.
 """

@@ -215,7 +215,8 @@ def _fits(config: RunConfig, wanted: Wanted) -> bool:
 def what_to_do(wanted: Wanted | None = None) -> str:
     """What to do where a network does not fit images, as the end of a sentence: another one, or make one."""
     make = (
-        "night-train --for PRESET --out RUN makes a network for the corner and camera of a preset of scenes"
+        "night-train --for PRESET --out RUN makes a network for the corner and camera of a preset of scenes, "
+        "or with --gap of a capture of the empty corner"
     )
     if wanted is None:
         return make

@@ -7,7 +7,7 @@ from typing import Any, Final
 from model.settings.run import RunSettings
 from model.settings.train_settings import TrainSettings
 
-# `any-corner-40x30` tuned to another corner, MAE of 127 test scenes in cm; untuned 4.2. With 16 scenes after
+# A network of many corners, tuned to another: MAE of 127 test scenes in cm; untuned 4.2. With 16 scenes after
 # 3, 40 and 400 steps: 4.6, 3.8, 3.5 at a rate of 1e-3; 3.5, -, 3.4 at 3e-4 (3.4 after 100); 3.9, 3.7, 3.5 at
 # 1e-4. With 171 scenes and 440 steps 3.1 at each rate (notebook/experiments.md, Fine-tuning on few scenes).
 LEARNING_RATE: Final = 3e-4

@@ -272,7 +272,7 @@ def test_solids_are_found_where_each_scene_has_its_camera_elsewhere(make_dataset
     images = [read_image(made.render_folder(each) / "itof.exr").phasors()[0] for each in made.ids()]
     assert any((image == 0).any() for image in images)  # the middle wall is in view
     report = refine_split(
-        *("any-corner-80x60", open_dataset(made.root), tmp_path / "out"),
+        *("any-corner", open_dataset(made.root), tmp_path / "out"),
         unknown=("reflectance",),
         progress=False,
     )
