@@ -4,26 +4,19 @@ import csv
 import json
 import re
 import shutil
-from base64 import b64decode
-from io import BytesIO
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import training_runs
-from PIL import Image
 from report_pages import AT_NIGHT, WITH_WEBGL, WITHOUT_WEBGL, Page, browse, needs_chromium
 from synthetic_dataset import DISC_RADIUS_M, write_synthetic_dataset
 
-from itof import DepthMap
 from itof.metrics import image_metrics
-from itof.pictures.depth_film import depth_levels
-from itof.pictures.figures import depth_range, write_pdf
+from itof.pictures.figures import write_pdf
 from model.data.shards import open_shards
 from model.judging.evaluation import EvaluationError, evaluate
 from model.judging.report.chart_png import chart_figure
 from model.judging.report.charts import training_curves
-from model.judging.scene_sheet import SceneSheet
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.training.loop import train
@@ -193,41 +186,6 @@ def test_every_chart_of_the_page_is_a_png_too_and_has_the_numbers_of_the_report(
     assert averages == pytest.approx([report.no_object.miou.mean, report.prediction.miou.mean])
     curve = next(part for part in charts["calibration_miou"]["parts"] if part["kind"] == "curve")
     assert curve["y"][curve["x"].index(0.5)] == report.calibration.judged.at(0.5).miou
-
-
-def test_the_page_holds_truth_and_prediction_of_every_scene_by_accuracy(judged, run, dataset):
-    report, folder = judged
-    sheet = Page((folder / "index.html").read_text()).data["scene-data"]
-    content = b64decode(sheet["src"].removeprefix("data:image/png;base64,"))
-    picture = np.asarray(Image.open(BytesIO(content)))  # places in the palette
-    shards = open_shards(dataset, progress=False)
-    place = len(report.scenes) - 2
-    result = report.ranked[place]
-    assert sheet["texts"][place].startswith(f"{place + 1} of {len(report.scenes)}: {result.scene}, ")
-    row = [scene.id for scene in shards.manifest.scenes].index(result.scene)
-    block = shards.read([row])
-    predicted = load(run, "cpu").predict(block.phasors[0])
-    truth = DepthMap.of_object(block.radial_depth_m[0], block.mask[0] > 0, 20e6)
-    down, right = divmod(place, sheet["columns"])
-    height, width = sheet["height"], sheet["width"]
-    tile = picture[down * height :, right * width :][:height, :width]
-    for side, one in ((tile[:, : width // 2], truth), (tile[:, width // 2 + 1 :], predicted)):
-        np.testing.assert_array_equal(side, depth_levels(one, depth_range(truth, predicted)))
-
-
-def test_the_picture_of_very_many_large_scenes_leaves_out_rows_and_columns():
-    sheet, mask = SceneSheet(count=500), np.ones((240, 320), bool)
-    sheet.add("000000", *[DepthMap.of_object(2.0 * mask, mask, 20e6)] * 2)
-    assert 500 * sheet.tiles["000000"].size < 1.1 * 4e6
-
-
-def test_a_report_in_a_notebook_has_the_distributions_of_the_page(judged):
-    report, _ = judged
-    figure = report.plot()
-    plt.close(figure)
-    assert [axes.get_xlabel() for axes in figure.axes][:2] == ["MAE over all pixels, cm", "mIoU"]
-    counts = sum(patch.get_height() for patch in figure.axes[0].patches)
-    assert counts == 2 * len(report.scenes)  # prediction and "no object"
 
 
 def test_every_figure_is_a_pdf_too_with_the_same_bytes_each_time(judged_run, tmp_path):
