@@ -6,7 +6,8 @@ New scenes at the network's size, in a black room and in rooms of two reflectanc
     .venv/bin/python benchmarks/reflecting_rooms.py night-80x60 judge --count 40
     .venv/bin/python benchmarks/reflecting_rooms.py any-corner judge-any-corner --count 40
 
-Median ratio of the room's light to the hidden light at the first frequency, and the errors of the network.
+Median ratio of the room's light to the hidden light at the first frequency, how many predictions have a
+finding, and the errors of the network.
 """
 
 import argparse
@@ -54,6 +55,7 @@ def main() -> None:
     predictor = load(given.run, "cpu")
     errors: dict[str, list] = {}
     ratios: dict[str, list[float]] = {}
+    warned: dict[str, list[bool]] = {}
     for light, rooms, fov_deg in measurements(predictor, given.preset, given.count, given.seed):
         depth_m = light.radial_depth_m
         dark = light.direct + light.hidden
@@ -65,13 +67,18 @@ def main() -> None:
             captures[f"{name}, with a capture"] = light.direct + empty
         here = predictor.at(predictor.config.geometry.with_fov(fov_deg))
         for name, z in seen.items():
-            found = here.predict(z[None], captures.get(name))[0]
+            answers = here.predict(z[None], captures.get(name))
+            found, (light_found,) = answers[0], here.explained_light(z[None], answers, captures.get(name))
+            told = light_found.findings(shows_object=bool(found.mask.any()))
+            warned.setdefault(name, []).append(any(told))
             metrics = image_metrics(found.depth, found.mask, depth_m, depth_m > 0)
             errors.setdefault(name, []).append(metrics)
-    print("| measurement | room / hidden light | MAE, cm | mIoU | object MAE, cm |\n|---|---|---|---|---|")
+    head = ("measurement", "room / hidden light", "with a finding", "MAE, cm", "mIoU", "object MAE, cm")
+    print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
     for name, metrics in errors.items():
         ratio = f"{np.median(ratios[name]):.2f}" if name in ratios else ""
-        print(f"| {name} | {ratio} | {' | '.join(summary_cells(summarise(metrics)))} |")
+        share = f"{np.mean(warned[name]):.0%}" if name in warned else ""
+        print(f"| {name} | {ratio} | {share} | {' | '.join(summary_cells(summarise(metrics)))} |")
 
 
 def measurements(

@@ -30,6 +30,10 @@ SHARE_REFUSED: Final = 0.02
 SHARE_NOTED: Final = 0.2
 LEAST_LIGHT: Final = 1e-4  # of the direct return; scenes of the presets have 3e-4 to 4e-3
 MOST_LIGHT: Final = 0.03
+_CAUSES: Final = (
+    "a room that reflects, a camera that is not calibrated (a capture of the empty corner removes both), "
+    "another corner"
+)
 
 
 @dataclass(frozen=True)
@@ -83,12 +87,11 @@ class ExplainedLight:
             words = (
                 f"the object that the network shows explains {100 * share:.0f} % of the light that is not "
             )
-            words += "the wall's: a camera that is not calibrated, another corner, or parts of several "
-            words += "measurements?"
+            words += f"the wall's: {_CAUSES}, or parts of several measurements?"
             is_doubtful, refused = share < SHARE_NOTED, share < SHARE_REFUSED
         else:
-            words = f"the network shows no object, but {strength} is not the wall's light: a camera that is "
-            words += "not calibrated, another corner, or an object that the network does not know?"
+            words = f"the network shows no object, but {strength} is not the wall's light: {_CAUSES}, or an "
+            words += "object that the network does not know?"
             is_doubtful = self.strength > LEAST_LIGHT
         if is_doubtful:
             yield Finding("unexplained", words, refused)
