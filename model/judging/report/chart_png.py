@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -29,22 +28,7 @@ def chart_figure(chart: Chart) -> Figure:
     """A chart on a white page."""
     figure = Figure(figsize=SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
-    _draw_chart(figure.subplots(), chart)
-    return figure
-
-
-def plot_charts(charts: Sequence[Chart]) -> Figure:
-    """Charts beside each other, for a Python shell or a notebook."""
-    import matplotlib.pyplot as plt
-
-    width, height = SIZE_INCHES
-    figure, places = plt.subplots(1, len(charts), figsize=(width * len(charts), height), layout="constrained")
-    for axes, chart in zip(places, charts, strict=True):
-        _draw_chart(axes, chart)
-    return figure
-
-
-def _draw_chart(axes: Axes, chart: Chart) -> None:
+    axes = figure.subplots()
     _label(axes, chart)
     for part in chart.parts:
         _draw(axes, part)
@@ -52,6 +36,7 @@ def _draw_chart(axes: Axes, chart: Chart) -> None:
         if whole:
             axis.set_major_locator(MaxNLocator(integer=True))
     _legend(axes)
+    return figure
 
 
 def _draw(axes: Axes, part: Bars | Curve | Upright) -> None:

@@ -47,7 +47,7 @@ def test_the_picture_of_very_many_large_scenes_leaves_out_rows_and_columns():
     assert 500 * sheet.tiles["000000"].size < 1.1 * 4e6
 
 
-def test_a_report_in_a_notebook_has_the_distributions_of_the_page(judged_run):
+def test_a_report_in_a_notebook_has_every_scene_beside_no_object(judged_run):
     report, _ = judged_run
     figure = report.plot()
     plt.close(figure)
