@@ -93,8 +93,10 @@ def boxes(
             offset = _box(thing.offset_m) if isinstance(thing, BesideObject) else np.zeros((3, 2))
             low, high = offset[:, 0], offset[:, 1]
             ends = np.stack([np.minimum(least * low, most * low), np.maximum(least * high, most * high)], 1)
+            path = np.array(thing.path_m or ())
+            centres = np.stack([path.min(axis=0), path.max(axis=0)], 1) if thing.path_m else box + ends
             radius_m = _radius_m(thing.name, thing.extent_m(hidden.size_m), meshes)
-            found.append((box + ends, most * radius_m))
+            found.append((centres, most * radius_m))
     if not found:
         box = _box(hidden.location_m)
         if hidden.pair_fraction > 0:

@@ -141,6 +141,14 @@ class ListedObject(Thing):
         """The same of its angles."""
         return RotationRanges(*_around(self.path_deg)) if self.path_deg else self.rotation_deg or usual
 
+    def offsets_m(self, beside: BesideObject, usual: LocationRanges) -> OffsetRanges:
+        """Ranges of the centre of an object beside it, relative to its own."""
+        if not beside.path_m:
+            return beside.offset_m
+        own = self.places_m(usual)
+        both = zip(_around(beside.path_m), (own.x, own.y, own.z), strict=True)
+        return OffsetRanges(*((low - own_high, high - own_low) for (low, high), (own_low, own_high) in both))
+
     @property
     def things(self) -> tuple[Thing, ...]:
         """The object itself, then those beside it."""

@@ -56,7 +56,7 @@ class ImportedCapture(Told):
         return (*told, f"measurement file {self.out}, its record {self.record}")
 
     def plot(self) -> Figure:
-        """Amplitude and phase of the capture and of the empty corner, a row for each frequency."""
+        """Amplitude and phase of the capture and of the empty corner, a column for each frequency."""
         from itof.pictures.plots import phasor_panels, plot_panels
 
         captures = {"": self.capture, "empty corner": self.reference}

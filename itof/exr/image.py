@@ -72,7 +72,7 @@ class Image(Told):
         return np.stack(parts, axis=-1).astype(np.complex64), tuple(float(f"{mhz}e6") for mhz in labels)
 
     def plot(self) -> Figure:
-        """Amplitude and phase of the phasors, a row for each frequency, and the other channels."""
+        """Amplitude and phase of the phasors, a column for each frequency, and the other channels."""
         from itof.pictures.plots import Panel, phasor_panels, plot_panels
 
         found = [_PHASOR_CHANNEL.fullmatch(name) for name in self.channels]

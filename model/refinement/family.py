@@ -53,7 +53,8 @@ def family_of(preset: Preset, unknown: Collection[Unknown]) -> Family:
     largest = hidden.size_factor[1]
     apart_m = largest * max(map(abs, hidden.composite_offset_m)) if hidden.pair_fraction > 0 else None
     if preset.object:
-        offsets = [each.offset_m for listed in preset.object for each in listed.beside]
+        usual = hidden.location_m
+        offsets = [listed.offsets_m(each, usual) for listed in preset.object for each in listed.beside]
         apart_m = max((abs(end) for o in offsets for side in (o.x, o.y, o.z) for end in side), default=None)
     fits_sizes = "sizes" in unknown or not has_one_size
     return Family(known, fits_sizes, hidden.reflectance if is_known else None, apart_m)

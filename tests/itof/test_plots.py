@@ -1,11 +1,16 @@
 """Figures of measurements and depth maps."""
 
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
 from itof import DepthMap, phasor_channels
+from itof.capture.capture import Capture
+from itof.capture.importing import ImportedCapture
 from itof.exr.image import Image
 
+KINDS = ("amplitude", "phase, rad")
 DEPTH_M = np.array([[0, 2.5, 2.0], [0, 0, 3.0]])
 
 
@@ -39,3 +44,13 @@ def test_an_image_shows_amplitude_and_phase_of_its_phasors_and_its_other_channel
     np.testing.assert_array_equal(shown["itof 20 MHz: amplitude"], [[2], [np.nan]])
     np.testing.assert_allclose(shown["itof 50 MHz: phase, rad"], [[np.pi / 2], [np.pi]], rtol=1e-6)
     np.testing.assert_array_equal(shown["mask.M"], [[1], [1]])
+
+
+def test_a_capture_is_shown_above_that_of_the_empty_corner():
+    seen, empty = (
+        Capture(np.full((2, 3, 1), strength * 1j), (20e6,), np.zeros((2, 3)), None) for strength in (1, 4)
+    )
+    shown = drawn(ImportedCapture(seen, empty, Path("out.npz"), Path("out.npz.json")).plot())
+    assert [*shown] == [f"{name}20 MHz: {kind}" for name in ("", "empty corner ") for kind in KINDS]
+    for name, strength in (("", 1), ("empty corner ", 4)):
+        np.testing.assert_array_equal(shown[f"{name}20 MHz: amplitude"], np.full((2, 3), strength))

@@ -142,3 +142,12 @@ def test_the_size_of_a_mesh_counts_as_it_is(tmp_path):
         refuse_wrapping_depths(at(0.999 * limit_hz, hidden_object=hidden | {"size_m": {"mesh": 2.0}}), meshes)
         with pytest.raises(PresetError):
             refuse_wrapping_depths(at(limit_hz, hidden_object=hidden | {"size_m": {"mesh": 2.0}}), meshes)
+
+
+def test_an_object_on_a_path_of_its_own_is_as_deep_as_its_path():
+    path_m = [[1.0, 0.7, 1.6], [1.1, 0.9, 1.6]]
+    far = {"shape": "cube", "path_m": [[1.0, 2.9, 1.6], [1.1, 2.5, 1.6]]}
+    dataset = {"frame_rate_hz": 5}
+    both = [{"shape": "sphere", "path_m": path_m, "beside": [far]}]
+    alone = largest_mirrored_depth_m(at(20e6, dataset=dataset, object=[far]))
+    assert largest_mirrored_depth_m(at(20e6, dataset=dataset, object=both)) == alone

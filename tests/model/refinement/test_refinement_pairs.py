@@ -210,6 +210,13 @@ def test_a_round_without_starts_finds_nothing(fits_sizes):
     assert search._funnelled([], _OF_PAIRS) == []
 
 
+def test_two_solids_on_paths_of_their_own_are_as_far_apart_as_the_paths():
+    one = {"shape": "cube", "path_m": [[1.0, 0.7, 1.6], [1.2, 0.9, 1.6]]}
+    two = {"shape": "sphere", "path_m": [[1.1, 1.5, 1.8], [1.0, 1.2, 1.8]]}
+    preset = {"dataset": {"frame_rate_hz": 5}, "object": [one | {"beside": [two]}]}
+    assert family_of(preset_from_dict(preset, "a test"), ()).apart_m == pytest.approx(0.8)
+
+
 def test_a_shape_that_is_listed_in_two_sizes_has_an_unknown_one():
     cubes = [{"shape": "cube", "size_m": size_m} for size_m in (0.3, 0.4)]
     assert family_of(preset_from_dict({"object": cubes}, "a test"), ()).fits_sizes
