@@ -115,9 +115,8 @@ class CandidateLight:
         ready, every = self._world.scenes(scenes, self._frequencies_hz), np.arange(count)
         surface = np.array([first_level(scene) for scene in scenes]) + fine * _FINER
         levels = surface, np.full(count, _FILM_LEVELS[fine])
-        return ratios(ready, every, *levels, _seen(ready, rays), self._world.meshes).reshape(
-            count, len(rays), -1
-        )
+        found, _ = ratios(ready, every, *levels, _seen(ready, rays), self._world.meshes)
+        return found.reshape(count, len(rays), -1)
 
 
 def _seen(scenes: Scenes, rays: NDArray[np.float64]) -> Nodes:

@@ -12,8 +12,9 @@ nodes of a Chebyshev lattice over the part of the image that shows the relay wal
 pixels.
 
 Two sets of nodes give the error. The sums are compared, at a dozen nodes, with sums over half the surface
-points and twice the film points. The last third of the coefficients of the polynomials tells what the lattice
-lacks. A scene whose error is too large gets more of the nodes that it lacks.
+points and twice the film points. The last third of the polynomials tells what the lattice lacks. Both are
+errors of the light, not of the ratio: they count with the direct light of their pixels. A scene whose error
+is too large gets more of the nodes that it lacks.
 
 Source: the estimator of docs/science/renderer.md, with fixed nodes in place of random ones.
 """
@@ -49,7 +50,7 @@ from scenegen.unit_meshes import UnitMesh
 Floats = NDArray[np.float64]
 Ratios = NDArray[np.complex128]
 _COARSER: Final = 0.8  # error of the sums over their difference to those of the other nodes
-_TAIL: Final = 0.9  # error of the lattice over the norm of the last third of its coefficients
+_TAIL: Final = 0.5  # error of the lattice over the norm of the last third of its polynomials
 _LEAST: Final = 0.5  # of the wanted error: what the estimate is at least, so that the bound holds in 95 %
 _FIRST_ERROR: Final = 0.04  # for which the points begin with these levels:
 _CONVEX, _SHEET_OR_MESH, _SEVERAL = 1, 2, 2
@@ -135,16 +136,20 @@ class HiddenRatios:
         """Ratios (nodes, F) at the lattices of the chosen scenes; their errors by points and by lattice."""
         levels = ((effort.surface, effort.film), (effort.surface - 1, effort.film + 1))
         found: list[list[Ratios]] = []
+        direct: list[list[Floats]] = []
         for (surface, film), few in zip(levels, (False, True), strict=True):
             seen = lattice_nodes(scenes, chosen, effort.lattice, few)
-            z = ratios(scenes, chosen, surface, film, seen, self.meshes)
-            found.append([z[seen.first[one] : seen.last[one]] for one in chosen])
+            z, power = ratios(scenes, chosen, surface, film, seen, self.meshes)
+            parts = [slice(seen.first[one], seen.last[one]) for one in chosen]
+            found.append([z[part] for part in parts])
+            direct.append([power[part, None] for part in parts])
         fine, other = found
         of_points = np.zeros(len(chosen))
-        for place, (size, one, two) in enumerate(zip(effort.lattice.tolist(), fine, other, strict=True)):
-            there = one[few_places(*size)]
-            of_points[place] = _COARSER * _norm(there - two) / max(_norm(there), _norm(two), _TINY)
-        return fine, of_points, _TAIL * _tails(fine, effort.lattice)
+        for place, (across, down) in enumerate(effort.lattice.tolist()):
+            there, two = fine[place][few_places(across, down)], other[place]
+            difference, *sizes = (_norm(each * direct[1][place]) for each in (there - two, there, two))
+            of_points[place] = _COARSER * difference / max(*sizes, _TINY)
+        return fine, of_points, _TAIL * _tails(fine, direct[0], effort.lattice)
 
     def _interpolate(
         self, scenes: Scenes, chosen: Ints, sizes: Ints, values: Sequence[Ratios], out: NDArray[np.complex64]
@@ -170,8 +175,11 @@ def ratios(
     film_level: Ints,
     seen: Nodes,
     meshes: Mapping[Shape, UnitMesh],
-) -> Ratios:
-    """(M, F) hidden over direct light at the nodes `seen`; scenes that are not `chosen` have none."""
+) -> tuple[Ratios, Floats]:
+    """(M, F) hidden over direct light at the nodes `seen`, and (M,) direct light over the projector's.
+
+    Scenes that are not `chosen` have no hidden light.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -197,9 +205,10 @@ def ratios(
     scene = upload_indices(seen.scene)
     ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (surface.first, surface.last)]
     index = dr.arange(mi.UInt32, len(seen.scene))
-    sums = kernels.over_direct(batch, scene, back, index, table, own, sent, *ends)
-    dr.eval(sums)
-    return np.stack([np.array(re) + 1j * np.array(im) for re, im in zip(*sums, strict=True)], axis=-1)
+    real, imaginary, power = kernels.over_direct(batch, scene, back, index, table, own, sent, *ends)
+    dr.eval(real, imaginary, power)
+    sums = [np.array(re) + 1j * np.array(im) for re, im in zip(real, imaginary, strict=True)]
+    return np.stack(sums, axis=-1), np.array(power)
 
 
 def direct(scenes: Scenes, seen: Nodes) -> Floats:
@@ -233,18 +242,44 @@ def _norm(values: Ratios) -> float:
     return float(np.linalg.norm(values))
 
 
-def _tails(values: Sequence[Ratios], sizes: Ints) -> Floats:
-    """(n,) norm of the last third of the coefficients along each side of lattices, over that of all."""
+def _tails(values: Sequence[Ratios], direct: Sequence[Floats], sizes: Ints) -> Floats:
+    """(n,) norm of the last third of the polynomials along each side of lattices, over that of all.
+
+    It is that of the light in the pixels: the ratios at the nodes count with the `direct` light there, and
+    with the pixels for which a node stands.
+    """
     found = np.zeros(len(values))
     for across, down in np.unique(sizes, axis=0):
         places = np.flatnonzero((sizes == (across, down)).all(1))
-        grid = np.stack([values[place] for place in places]).reshape(len(places), down, -1)
-        grid = np.matmul(_to_coefficients(int(down)), grid).reshape(len(places), down, across, -1)
-        power = np.abs(np.matmul(_to_coefficients(int(across)), grid)) ** 2
-        total = power.sum((1, 2, 3))
-        end = power[:, -(down // 3) :].sum((1, 2, 3)) + power[:, :, -(across // 3) :].sum((1, 2, 3))
-        found[places] = np.sqrt(end / np.maximum(total, _TINY))
+        grid = np.stack([values[place] for place in places]).reshape(len(places), down, across, -1)
+        weight = np.stack([direct[place] for place in places]).reshape(len(places), down, across, 1)
+        weight = weight * np.outer(_root_pixels(int(down)), _root_pixels(int(across)))[..., None]
+        of_rows = np.matmul(_last_third(int(down)), grid.reshape(len(places), down, -1)).reshape(grid.shape)
+        of_columns = np.matmul(_last_third(int(across)), grid)
+        end = _power(weight * of_rows) + _power(weight * of_columns)
+        found[places] = np.sqrt(end / np.maximum(_power(weight * grid), _TINY))
     return found
+
+
+def _power(grid: Ratios) -> Floats:
+    """(n,) sums of squares."""
+    power: Floats = (np.abs(grid) ** 2).sum((1, 2, 3))
+    return power
+
+
+@cache
+def _root_pixels(count: int) -> Floats:
+    """(count,) root of the number of pixels for which each Chebyshev node stands, but for a factor."""
+    roots: Floats = np.sqrt(np.sin(np.arccos(chebyshev(count)[0])))
+    return roots
+
+
+@cache
+def _last_third(count: int) -> Floats:
+    """(count, count) matrix from values at Chebyshev nodes to those of the polynomial's last third."""
+    last = _to_coefficients(count)[-(count // 3) :]
+    matrix: Floats = last.T @ last
+    return matrix
 
 
 @cache

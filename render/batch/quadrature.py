@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from render.batch.chebyshev import chebyshev
 from render.batch.free_surface import free_parts
 from render.batch.quadrics import is_convex
-from render.batch.surface_points import UnitPoints, surface_points
+from render.batch.surface_points import UnitPoints, longer_sides, surface_points
 from render.batch.tables import Scenes, rotated
 from render.walls.corners import Corners
 from scenegen.shapes import Shape
@@ -149,14 +149,15 @@ def surface_nodes(scenes: Scenes, chosen: Ints, level: Ints, meshes: Mapping[Sha
     Points that face no lit part of the wall are left out.
     """
     level_of = dict(zip(chosen.tolist(), level.tolist(), strict=True))
-    groups: dict[tuple[Shape, int], list[int]] = {}
+    groups: dict[tuple[Shape, int, tuple[int, int, int]], list[int]] = {}
     for place, placed in enumerate(scenes.objects):
         if placed.scene in level_of:
-            groups.setdefault((placed.shape, level_of[placed.scene]), []).append(place)
+            kind = placed.shape, level_of[placed.scene], longer_sides(placed.shape, placed.size)
+            groups.setdefault(kind, []).append(place)
     facing = _corners_of_walls(scenes)
     found = [
-        _placed_points(surface_points(shape, one, meshes[shape]), scenes, np.array(places), facing)
-        for (shape, one), places in groups.items()
+        _placed_points(surface_points(shape, one, meshes[shape], longer), scenes, np.array(places), facing)
+        for (shape, one, longer), places in groups.items()
     ]
     place, values = (np.concatenate(each) for each in zip(*found, strict=True))
     order = np.argsort(place, kind="stable")  # object by object, in any batch

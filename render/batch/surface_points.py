@@ -1,7 +1,8 @@
 """Points on the surfaces of unit shapes, with the area of each: the quadrature of the hidden surface.
 
 A shape fills the unit box around the origin. Placed with the extents s, its points become diag(s) p, its
-normals diag(1/s) n, and its areas det(s) |diag(1/s) n| as large (Nanson's formula).
+normals diag(1/s) n, and its areas det(s) |diag(1/s) n| as large (Nanson's formula). A primitive has more
+points along the axes in which it is longer than the paper's.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ from scenegen.shapes import Shape
 from scenegen.unit_meshes import ARC_DEPTH, ARC_WIDTH, UnitMesh, concave_arc
 
 Floats = NDArray[np.float64]
+Finer = tuple[float, float, float]  # along x, y and z
+_LONG: Final = 1.6  # extent over the mean extent above which a side is long: that of the parallelepiped
 _MESH_POINTS: Final = 100  # of a user's mesh at level 0
-_KEPT_MESHES: Final = 64  # whose points are kept
+_KEPT: Final = 64  # meshes whose points are kept, and stretched primitives
 
 
 @dataclass(frozen=True)
@@ -41,17 +44,32 @@ class UnitPoints:
         )
 
 
-def surface_points(shape: Shape, level: int, mesh: UnitMesh) -> UnitPoints:
-    """The points of a primitive or of a user's mesh; twice as many with every `level`."""
-    return _primitive_points(shape, level) if shape in _PRIMITIVES else _mesh_points(mesh, level)
+def surface_points(
+    shape: Shape, level: int, mesh: UnitMesh, longer: tuple[int, int, int] = (0, 0, 0)
+) -> UnitPoints:
+    """The points of a primitive or of a user's mesh; twice as many with every `level`.
+
+    `longer` are more levels along the axes of a primitive, as `longer_sides` has them.
+    """
+    return _primitive_points(shape, level, longer) if shape in _PRIMITIVES else _mesh_points(mesh, level)
 
 
-@functools.cache
-def _primitive_points(shape: Shape, level: int) -> UnitPoints:
-    return _PRIMITIVES[shape](2.0 ** (level / 2))
+def longer_sides(shape: Shape, size_m: Floats) -> tuple[int, int, int]:
+    """Levels along each axis that an object with extents (3,) needs more than one of the paper's."""
+    if shape not in _PRIMITIVES:
+        return 0, 0, 0
+    mean_m = math.prod(size_m) ** (1 / 3)
+    x, y, z = (max(0, math.ceil(2 * math.log2(side / (_LONG * mean_m)))) for side in size_m.tolist())
+    return x, y, z
 
 
-@functools.lru_cache(_KEPT_MESHES)
+@functools.lru_cache(_KEPT)
+def _primitive_points(shape: Shape, level: int, longer: tuple[int, int, int]) -> UnitPoints:
+    x, y, z = (2.0 ** ((level + more) / 2) for more in longer)
+    return _PRIMITIVES[shape]((x, y, z))
+
+
+@functools.lru_cache(_KEPT)
 def _mesh_points(mesh: UnitMesh, level: int) -> UnitPoints:
     """Points of a mesh that represent equal areas, on both sides of it."""
     surface = triangle_surface(mesh.vertices[mesh.triangles].astype(np.float64))
@@ -65,24 +83,25 @@ def _gauss(count: int) -> tuple[Floats, Floats]:
     return (node + 1) / 2, weight / 2
 
 
-def _box(finer: float) -> UnitPoints:
-    node, weight = _gauss(round(2.9 * finer))
-    u, v = (each.ravel() - 0.5 for each in np.meshgrid(node, node))
-    share = np.outer(weight, weight).ravel()
-    points, normals = [], []
+def _box(finer: Finer) -> UnitPoints:
+    nodes = [_gauss(round(2.9 * each)) for each in finer]
+    points, normals, areas = [], [], []
     for axis in range(3):
+        (u, wide), (v, high) = nodes[(axis + 1) % 3], nodes[(axis + 2) % 3]
+        u, v = (each.ravel() - 0.5 for each in np.meshgrid(u, v))
         for side in (0.5, -0.5):
             face, normal = np.empty((len(u), 3)), np.zeros((len(u), 3))
             face[:, axis], face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = side, u, v
             normal[:, axis] = 2 * side
             points.append(face)
             normals.append(normal)
-    return UnitPoints(np.concatenate(points), np.concatenate(normals), np.tile(share, 6))
+            areas.append(np.outer(high, wide).ravel())
+    return UnitPoints(*(np.concatenate(each) for each in (points, normals, areas)))
 
 
-def _sphere(finer: float) -> UnitPoints:
+def _sphere(finer: Finer) -> UnitPoints:
     """Fibonacci's points, each with the same area."""
-    count = round(50 * finer**2)
+    count = round(50 * math.prod(finer) / min(finer))
     place = np.arange(count) + 0.5
     z, azimuth = 1 - 2 * place / count, place * np.pi * (1 + math.sqrt(5))
     ring = np.sqrt(1 - z**2)
@@ -90,9 +109,10 @@ def _sphere(finer: float) -> UnitPoints:
     return UnitPoints(normals / 2, normals, np.full(count, np.pi / count))
 
 
-def _frustum(finer: float, top: float) -> UnitPoints:
+def _frustum(finer: Finer, top: float) -> UnitPoints:
     """Cylinder (`top` 1) or cone (`top` 0): the side, and one or two discs."""
-    rise, around = round(2.9 * finer), round(10 * finer)
+    wide = max(finer[:2])
+    rise, around = round(2.9 * finer[2]), round(10 * wide)
     slant = math.hypot(1, (1 - top) / 2)
     up, weight = (each[:, None] for each in _gauss(rise))
     radius = (1 + (top - 1) * up) / 2
@@ -100,7 +120,7 @@ def _frustum(finer: float, top: float) -> UnitPoints:
     points = [np.stack([radius * np.cos(angle), radius * np.sin(angle), up - 0.5 + 0 * angle], axis=-1)]
     normals = [np.stack([np.cos(angle), np.sin(angle), np.full_like(angle, (1 - top) / 2)], axis=-1) / slant]
     areas = [weight * slant * radius * (2 * np.pi / around) + 0 * angle]
-    rings, around = round(2.1 * finer), round(7 * finer)
+    rings, around = round(2.1 * min(finer[:2])), round(7 * wide)
     out, weight = (each[:, None] for each in _gauss(rings))
     angle = _turn(rings, around)
     for end in (-1.0, 1.0) if top else (-1.0,):
@@ -119,9 +139,9 @@ def _turn(rings: int, around: int) -> Floats:
     return turned
 
 
-def _sheet(finer: float) -> UnitPoints:
+def _sheet(finer: Finer) -> UnitPoints:
     """A sheet bent to an arc of ±1 rad about z, concave on its +x side, with both sides."""
-    across, up = round(8 * finer), round(4.5 * finer)
+    across, up = round(8 * max(finer[:2])), round(4.5 * finer[2])
     node, weight = _gauss(across)
     height, share = _gauss(up)
     angle, z = np.meshgrid(2 * node - 1, height - 0.5)  # (up, across), ±1 rad
@@ -132,7 +152,7 @@ def _sheet(finer: float) -> UnitPoints:
     return UnitPoints(points, slope.reshape(-1, 3) / speed[:, None], areas).both_sides()
 
 
-_PRIMITIVES: dict[Shape, Callable[[float], UnitPoints]] = {
+_PRIMITIVES: dict[Shape, Callable[[Finer], UnitPoints]] = {
     "cube": _box,
     "cylinder": lambda finer: _frustum(finer, 1.0),
     "sphere": _sphere,

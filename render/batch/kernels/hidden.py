@@ -105,10 +105,11 @@ def over_direct(
     sent: mi.Float,
     first: mi.UInt32,
     last: mi.UInt32,
-) -> tuple[list[mi.Float], list[mi.Float]]:
+) -> tuple[list[mi.Float], list[mi.Float], mi.Float]:
     """Hidden light of wall points over their direct light: a sum over the surface points of their scene.
 
-    `own` are as for `irradiance`, `sent` Re and Im of what each surface point sends, by frequency.
+    Returned are Re and Im by frequency, and the direct light as `direct` has it. `own` is as for
+    `irradiance`, `sent` are Re and Im of what each surface point sends, by frequency.
     """
     wall = Wall(batch, scene)
     one, two = dr.gather(QUAD, lattice, 2 * index), dr.gather(QUAD, lattice, 2 * index + 1)
@@ -131,7 +132,7 @@ def over_direct(
     direct = _direct(wall, one, two)
     seen = direct > 0  # else the camera does not see the wall there
     re, im = ([dr.select(seen, each / direct, 0) for each in part] for part in (re, im))
-    return re, im
+    return re, im, direct
 
 
 def direct(batch: Batch, scene: mi.UInt32, lattice: mi.Float, index: mi.UInt32) -> mi.Float:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from render.batch.free_surface import free_parts
-from render.batch.surface_points import surface_points
+from render.batch.surface_points import longer_sides, surface_points
 from render.batch.tables import PlacedObject
 from scenegen.object_settings import ShapeSizes
 from scenegen.shapes import PRIMITIVES
@@ -30,15 +30,23 @@ VOLUMES_M3 = {
 
 
 @pytest.mark.parametrize("shape", PRIMITIVES)
-@pytest.mark.parametrize("level", [1, 4])
-def test_points_have_the_area_and_the_volume_of_the_solid(shape, level):
-    unit, size = surface_points(shape, level, unit_mesh(shape)), np.array(ShapeSizes().of(shape))
+@pytest.mark.parametrize(("level", "longer"), [(1, (0, 0, 0)), (4, (0, 0, 0)), (1, (2, 0, 3))])
+def test_points_have_the_area_and_the_volume_of_the_solid(shape, level, longer):
+    unit, size = surface_points(shape, level, unit_mesh(shape), longer), np.array(ShapeSizes().of(shape))
     turned = unit.normals / size
     length = np.linalg.norm(turned, axis=1)
     areas = unit.areas * size.prod() * length
     assert areas.sum() == pytest.approx(AREAS_M2[shape], rel=2e-3)  # the chord of a sheet has three digits
     flux = (unit.points * size * turned / length[:, None]).sum(1) @ areas  # Gauss: three volumes
     assert flux == pytest.approx(3 * VOLUMES_M3[shape], rel=1e-9, abs=1e-12)
+
+
+def test_long_sides_have_more_points_and_the_papers_solids_none():
+    for shape in PRIMITIVES:
+        assert longer_sides(shape, np.array(ShapeSizes().of(shape))) == (0, 0, 0)
+        assert longer_sides(shape, np.array([0.25, 0.45, 1.7])) == (0, 0, 2)
+        usual, more = (surface_points(shape, 1, unit_mesh(shape), (0, 0, each)) for each in (0, 2))
+        assert 1.2 < len(more.areas) / len(usual.areas) < 2.3  # not along x and y
 
 
 @pytest.mark.parametrize("shape", PRIMITIVES)
