@@ -114,13 +114,15 @@ def _problem(error: ErrorDetails, text: str) -> str:
 
 
 def _place_in_text(error: ErrorDetails, text: str) -> tuple[int | str, ...]:
-    """Keys and indices that lead to the error: those of pydantic without the kinds of tables."""
+    """Keys and indices that lead to the error: those of pydantic without the kinds of tables and values."""
     if error["type"] == "json_invalid":
         return error["loc"]
     data: Any = from_json(text)
     place: list[int | str] = []
     for part in error["loc"]:
         if isinstance(data, dict) and part not in data and part in data.values():
+            continue
+        if isinstance(part, str) and isinstance(data, int | float | str | list):  # number or list
             continue
         place.append(part)
         try:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import Field, GetCoreSchemaHandler
+from pydantic import Discriminator, Field, GetCoreSchemaHandler, Tag
 from pydantic_core import core_schema
 
 
@@ -94,6 +94,10 @@ Radians = Annotated[
 PhaseSpread = Annotated[float, Bounds(0, 4 * math.pi, "radians", above="give radians, not degrees")]
 PhaseDeviation = Annotated[float, Bounds(1e-5, 10, "radians")]
 Extent = tuple[Length, Length, Length]
+LongestOrSides = Annotated[
+    Annotated[Length, Tag("number")] | Annotated[Extent, Tag("list")],
+    Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number"),
+]
 Location = tuple[Metres, Metres, Metres]
 Rotation = tuple[Degrees, Degrees, Degrees]
 

@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from disk.contract import STRICT
 from disk.preset_files import PresetError
-from disk.quantities import Extent, Length, Location, Reflectance, Rotation, Vector
+from disk.quantities import Extent, Location, LongestOrSides, Reflectance, Rotation, Vector
 from scenegen.object_settings import LocationRanges, MetreRange, RotationRanges, ShapeSizes
 from scenegen.shapes import MESH_PREFIX, PRIMITIVES, Shape, known_shape
 
@@ -40,7 +40,7 @@ class Thing:
 
     Attributes
     ----------
-    size_m : longest side, metres; None for that of `ShapeSizes`.
+    size_m : longest side, metres, or all three of a primitive; None for those of `ShapeSizes`.
     unit : of the mesh's coordinates, in place of `size_m`. Whoever reads the mesh puts `size_m` in its place.
     up : axis of the mesh that becomes the scene's z; None for z, and for y in a GLB file.
     rotation_deg : as `HiddenObjectSettings.rotation_deg`, which None takes.
@@ -51,7 +51,7 @@ class Thing:
 
     file: Annotated[str, AfterValidator(_mesh_file)] | None = None
     shape: Annotated[str, AfterValidator(_primitive)] | None = None
-    size_m: Length | None = None
+    size_m: LongestOrSides | None = None
     unit: Unit | None = None
     up: UpAxis | None = None
     rotation_deg: RotationRanges | None = None
@@ -68,6 +68,8 @@ class Thing:
             raise ValueError("unit and up are for a mesh file, not for a shape: give its size_m")
         if self.unit and self.size_m is not None:
             raise ValueError("give the unit of the mesh or its size_m, not both")
+        if self.file and isinstance(self.size_m, tuple):
+            raise ValueError("a mesh keeps its shape: size_m is its longest side, one number")
 
     @property
     def name(self) -> Shape:
@@ -85,6 +87,8 @@ class Thing:
             raise PresetError(
                 f"object {self.file} has its size from its mesh, which is not read here: give its size_m"
             )
+        if isinstance(self.size_m, tuple):
+            return self.size_m
         usual_m = sizes.of(self.name)
         if self.size_m is None:
             return usual_m

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from disk import NightError
 from disk.counted import counted
 from disk.told import Told
 from itof.wall.check_result import MeasurementCheck, WallSummary
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 _LEAST_TOLD_M: Final = 1e-3
 _MOST_SHOWN: Final = 8  # pictures in a notebook
+
+
+class PredictionError(NightError):
+    """The output folder has other files than those of a prediction, or lacks what is asked for."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +134,12 @@ class FilePrediction(Told):
 
         Raises
         ------
-        FileNotFoundError : no pictures were drawn.
+        PredictionError : no pictures were drawn.
         """
         import matplotlib.pyplot as plt
 
+        if not self.has_pictures:
+            raise PredictionError(f"{self.folder} has no pictures: predict with pictures=True")
         pictures = [plt.imread(self.folder / f"{image.name}.png") for image in self.images[:_MOST_SHOWN]]
         height, width = np.sum([picture.shape[0] for picture in pictures]), pictures[0].shape[1]
         figure, axes = plt.subplots(

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from disk import NightError, PathLike, whole_folder, write_text
+from disk import PathLike, whole_folder, write_text
 from disk.own_files import hashes_of, refuse_other_files
 from disk.plain_file import MOST_LIST_BYTES, read_plain
 from itof import DepthMap
@@ -31,7 +31,7 @@ from model.prediction.measurement_check import (
     fitting_measurement,
     wanted_for,
 )
-from model.prediction.predicted_image import FilePrediction, PredictedImage
+from model.prediction.predicted_image import FilePrediction, PredictedImage, PredictionError
 from model.prediction.predictor import BATCH, InputError, Predictor, load
 from model.prediction.views import draw_views, view_of
 from model.run_folder.networks import OTHER_CORNER, what_to_do
@@ -44,10 +44,6 @@ from processes.progress import showing_progress
 # field of view for all images, and errors that were expected in spite of findings; 10 no `other_scene`.
 PREDICTION_SCHEMA: Final = 11
 RECORD: Final = "prediction.json"
-
-
-class PredictionError(NightError):
-    """The output folder contains other files than those of an earlier prediction."""
 
 
 def predict_file(

@@ -80,7 +80,14 @@ def test_objects_have_places_sizes_and_reflectances_of_their_own():
                     "size_m": 0.2,
                     "location_m": {"x": 1.2, "y": [0.9, 1.1], "z": 1.4},
                     "rotation_deg": UPRIGHT,
-                    "beside": [{"shape": "cylinder", "offset_m": {"y": -0.5}, "reflectance": 0.25}],
+                    "beside": [
+                        {
+                            "shape": "cylinder",
+                            "size_m": [0.1, 0.2, 1.7],
+                            "offset_m": {"y": -0.5},
+                            "reflectance": 0.25,
+                        }
+                    ],
                 },
                 {"shape": "sphere", "reflectance": 0.5},
             ],
@@ -100,7 +107,7 @@ def test_objects_have_places_sizes_and_reflectances_of_their_own():
     for scene in by_class["cube + cylinder"]:
         cube, cylinder = scene.hidden_objects
         assert cube.size_m == pytest.approx((0.2, 0.2, 0.2))
-        assert cylinder.size_m == preset.hidden_object.size_m.cylinder
+        assert cylinder.size_m == (0.1, 0.2, 1.7)
         assert (cube.location_m[0], cube.location_m[2], *cube.rotation_deg[:2]) == (1.2, 1.4, 0, 0)
         assert 0.9 <= cube.location_m[1] <= 1.1
         np.testing.assert_allclose(
@@ -110,7 +117,7 @@ def test_objects_have_places_sizes_and_reflectances_of_their_own():
     assert {scene.hidden_objects[0].reflectance for scene in by_class["sphere"]} == {0.4}
     assert preset.places_m.y == (0.5, 1.3)
     assert preset.shapes == ("cube", "cylinder", "sphere")
-    assert largest_radius_m(preset) == pytest.approx(np.hypot(0.4, 0.55) / 2)
+    assert largest_radius_m(preset) == pytest.approx(np.hypot(0.2, 1.7) / 2)
 
 
 def test_the_farthest_depth_is_that_of_an_object_beside_another():
@@ -139,6 +146,11 @@ def test_one_shape_or_mesh_needs_no_word_about_composites():
         ({"shape": "teapot"}, "no such shape"),
         ({"shape": "cube", "unit": "cm"}, "for a mesh file, not for a shape"),
         ({"file": "a.ply", "unit": "cm", "size_m": 1.0}, "the unit of the mesh or its size_m, not both"),
+        ({"file": "a.ply", "size_m": [0.1, 0.2, 0.3]}, "a mesh keeps its shape: size_m is its longest side"),
+        ({"shape": "cube", "size_m": [0.1, 0.2]}, r"object\.0\.size_m has too few values: only 2"),
+        ({"shape": "cube", "size_m": [0.1, 0.2, -1]}, r"object\.0\.size_m\.2 must be 0\.0001 to 1000 m"),
+        ({"shape": "cube", "size_m": -1}, r"object\.0\.size_m must be 0\.0001 to 1000 m"),
+        ({"shape": "cube", "size_m": "big"}, r"object\.0\.size_m must be a number"),
         ({"file": "/a.ply"}, "relative to the preset's own folder"),
         ({"file": "a.ply", "unit": "inch"}, r"object.*unit"),
         ({"file": "a.ply", "up": "y", "beside": [{"file": "a.ply", "up": "z"}]}, "has one up axis"),

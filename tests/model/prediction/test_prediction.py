@@ -198,7 +198,10 @@ def test_a_notebook_shows_the_pictures_and_no_markup_of_others(seeing_run, exr, 
     one = written(tmp_path / "out")
     with Image.open(BytesIO(one._repr_png_())) as picture:
         assert picture.format == "PNG"
-    assert "<img" not in predict(seeing_run, exr, tmp_path / "bare", pictures=False)._repr_html_()
+    bare = predict(seeing_run, exr, tmp_path / "bare", pictures=False)
+    assert "<img" not in bare._repr_html_()
+    with pytest.raises(PredictionError, match="bare has no pictures: predict with pictures=True"):
+        bare.plot()
 
 
 @pytest.mark.parametrize("ending", ["gif", "webp"])
