@@ -102,12 +102,22 @@ def read_measurement(path: PathLike) -> Measurement:
         raise MeasurementError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}")
     if path.suffix.lower() not in _ENDINGS:
         ending = f"the ending {path.suffix}" if path.suffix else "no ending"
-        raise MeasurementError(f"{path} has {ending}: measurements are read from {', '.join(_ENDINGS)} files")
+        known = ", ".join(_ENDINGS)
+        raise MeasurementError(
+            f"{path} has {ending}: measurements are read from {known} files{_advice(path)}"
+        )
     try:
         contents = read_contents(path)
     except RefusedError as error:
         raise MeasurementError(str(error)) from None
     return measurement_of(path, contents)
+
+
+def _advice(path: Path) -> str:
+    return (
+        f". Of raw frames of an iToF camera, night-eval capture import {path} --sidecar FILE --out OUT.npz "
+        "makes a measurement, but not of the histograms of a single-photon sensor"
+    )
 
 
 def measurement_of(path: Path, contents: FileContents) -> Measurement:
@@ -116,10 +126,7 @@ def measurement_of(path: Path, contents: FileContents) -> Measurement:
     for name in ARRAYS[:2]:
         if name not in found:
             there = ", ".join(sorted(contents.names)[:20]) or "nothing"
-            raise MeasurementError(
-                f"{path} has no array {name}; it holds {there}: if these are raw frames, night-eval capture "
-                f"import {path} --sidecar FILE --out OUT.npz makes a measurement of them"
-            )
+            raise MeasurementError(f"{path} has no array {name}; it holds {there}{_advice(path)}")
     frequencies_hz = _frequencies(path, found["frequencies_hz"])
     count = len(frequencies_hz)
     phasors = _phasors(path, "phasors", found["phasors"], count, "(H, W, F) or (N, H, W, F)", (3, 4))
