@@ -136,10 +136,7 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(finished_run
         ("half.h5", "damaged or no HDF5 file"),
         ("half.exr", "damaged or no EXR"),
         ("truth.exr", "holds 20 MHz, the network also needs 50, 60 MHz"),
-        (
-            "m.png",
-            "has the ending .png: measurements are read from .exr, .npz, .h5, .hdf5 files. Of raw frames, or of photon",
-        ),
+        ("m.png", "measurements are read from .exr, .npz, .h5, .hdf5 files. Of raw frames, or of photon"),
     ):
         message = refused(finished_run, tmp_path / name, tmp_path / "out")
         assert words in message, message
