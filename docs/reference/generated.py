@@ -1,4 +1,4 @@
-"""What mkdocs adds to the reference: the help of the commands, and the settings from their classes."""
+"""What mkdocs adds to the reference: the help of the commands, settings from their classes, known cameras."""
 
 from __future__ import annotations
 
@@ -13,14 +13,22 @@ import click
 from pydantic.fields import FieldInfo
 
 import cli
+from disk.preset_files import data_folder
 
 _WIDTH = 90  # letters in a line of help
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Hook of mkdocs: replaces the lines ``::: help COMMAND`` and ``::: settings module.Class`` of a page."""
+    """Hook of mkdocs: replaces ``::: help COMMAND``, ``::: settings module.Class`` and ``::: cameras``."""
     markdown = re.sub(r"^::: help (\S+)$", lambda found: _commands(found[1]), markdown, flags=re.M)
+    markdown = re.sub(r"^::: cameras$", lambda _: _cameras(), markdown, flags=re.M)
     return re.sub(r"^::: settings (\S+)$", lambda found: _settings(found[1]), markdown, flags=re.M)
+
+
+def _cameras() -> str:
+    """The sidecar of each known format, with what it says of the camera."""
+    files = sorted(data_folder("captures").glob("*.toml"))
+    return "\n".join(f"## {file.stem}\n\n```toml\n{file.read_text()}```\n" for file in files)
 
 
 def _commands(program: str) -> str:

@@ -224,6 +224,9 @@ def test_the_site_is_built_without_warnings_and_takes_nothing_from_elsewhere(tmp
         key in settings for key in ("learning_rate", "camera.horizontal_fov_deg", "sensor.full_well_e")
     )
     assert "radial_depth_m" in pages["reference/python.html"]
+    cameras = pages["reference/cameras.html"]
+    assert all(file.stem in cameras for file in (ROOT / "data" / "captures").glob("*.toml"))
+    assert "data_collect --ft raw" in cameras  # how a camera gives phases
 
 
 def test_the_citation_file_has_the_version_of_the_package():
