@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from importlib import import_module
+from itertools import groupby
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import click
@@ -26,9 +27,16 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def _cameras() -> str:
-    """The sidecar of each known format, with what it says of the camera."""
-    files = sorted(data_folder("captures").glob("*.toml"))
-    return "\n".join(f"## {file.stem}\n\n```toml\n{file.read_text()}```\n" for file in files)
+    """The sidecar of each known format; its lines of comments become text."""
+    found = []
+    for file in sorted(data_folder("captures").glob("*.toml")):
+        found.append(f"## {file.stem}")
+        for is_text, lines in groupby(file.read_text().splitlines(), lambda line: line.startswith("#")):
+            part = list(lines)
+            text = " ".join(line.removeprefix("# ") for line in part)
+            code = "\n".join(part).strip("\n")
+            found.append(text if is_text else f"```toml\n{code}\n```" if code else "")
+    return "\n\n".join(found)
 
 
 def _commands(program: str) -> str:
