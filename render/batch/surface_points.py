@@ -23,6 +23,7 @@ from scenegen.unit_meshes import ARC_DEPTH, ARC_WIDTH, UnitMesh, concave_arc
 Floats = NDArray[np.float64]
 Finer = tuple[float, float, float]  # along x, y and z
 _LONG: Final = 1.6  # extent over the mean extent above which a side is long: that of the parallelepiped
+_MOST_LONGER: Final = 6  # levels: rods thinner than 1 : 50 need no more, and would fill the memory
 _MESH_POINTS: Final = 100  # of a user's mesh at level 0
 _KEPT: Final = 64  # meshes whose points are kept, and stretched primitives
 
@@ -58,8 +59,8 @@ def longer_sides(shape: Shape, size_m: Floats) -> tuple[int, int, int]:
     """Levels along each axis that an object with extents (3,) needs more than one of the paper's."""
     if shape not in _PRIMITIVES:
         return 0, 0, 0
-    mean_m = math.prod(size_m) ** (1 / 3)
-    x, y, z = (max(0, math.ceil(2 * math.log2(side / (_LONG * mean_m)))) for side in size_m.tolist())
+    long_m = _LONG * math.prod(size_m) ** (1 / 3)
+    x, y, z = (min(max(0, math.ceil(2 * math.log2(side / long_m))), _MOST_LONGER) for side in size_m.tolist())
     return x, y, z
 
 

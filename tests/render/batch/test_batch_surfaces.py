@@ -45,6 +45,7 @@ def test_long_sides_have_more_points_and_the_papers_solids_none():
     for shape in PRIMITIVES:
         assert longer_sides(shape, np.array(ShapeSizes().of(shape))) == (0, 0, 0)
         assert longer_sides(shape, np.array([0.25, 0.45, 1.7])) == (0, 0, 2)
+        assert longer_sides(shape, np.array([1e-4, 1e-4, 1000])) == (0, 0, 6)  # not all of the memory
         usual, more = (surface_points(shape, 1, unit_mesh(shape), (0, 0, each)) for each in (0, 2))
         assert 1.2 < len(more.areas) / len(usual.areas) < 2.3  # not along x and y
 
