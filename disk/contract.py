@@ -120,9 +120,13 @@ def _place_in_text(error: ErrorDetails, text: str) -> tuple[int | str, ...]:
     data: Any = from_json(text)
     place: list[int | str] = []
     for part in error["loc"]:
-        if isinstance(data, dict) and part not in data and part in data.values():
+        if (
+            isinstance(data, dict)
+            and part not in data
+            and (part in data.values() or error["type"] != "missing")
+        ):
             continue
-        if isinstance(part, str) and isinstance(data, int | float | str | list):  # number or list
+        if isinstance(part, str) and isinstance(data, int | float | str | list):
             continue
         place.append(part)
         try:

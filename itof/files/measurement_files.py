@@ -115,8 +115,8 @@ def read_measurement(path: PathLike) -> Measurement:
 
 def _advice(path: Path) -> str:
     return (
-        f". Of raw frames, or of photon histograms, night-eval capture import {path} --sidecar FILE "
-        "--out OUT.npz makes a measurement"
+        f": night-eval capture import {path} --sidecar FILE --out OUT.npz makes a measurement of raw frames "
+        "or photon histograms"
     )
 
 

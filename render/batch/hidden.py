@@ -136,20 +136,20 @@ class HiddenRatios:
         """Ratios (nodes, F) at the lattices of the chosen scenes; their errors by points and by lattice."""
         levels = ((effort.surface, effort.film), (effort.surface - 1, effort.film + 1))
         found: list[list[Ratios]] = []
-        direct: list[list[Floats]] = []
+        lights: list[list[Floats]] = []  # direct light at these nodes
         for (surface, film), few in zip(levels, (False, True), strict=True):
             seen = lattice_nodes(scenes, chosen, effort.lattice, few)
-            z, power = ratios(scenes, chosen, surface, film, seen, self.meshes)
+            z, direct_light = ratios(scenes, chosen, surface, film, seen, self.meshes)
             parts = [slice(seen.first[one], seen.last[one]) for one in chosen]
             found.append([z[part] for part in parts])
-            direct.append([power[part, None] for part in parts])
+            lights.append([direct_light[part, None] for part in parts])
         fine, other = found
         of_points = np.zeros(len(chosen))
         for place, (across, down) in enumerate(effort.lattice.tolist()):
             there, two = fine[place][few_places(across, down)], other[place]
-            difference, *sizes = (_norm(each * direct[1][place]) for each in (there - two, there, two))
+            difference, *sizes = (_norm(each * lights[1][place]) for each in (there - two, there, two))
             of_points[place] = _COARSER * difference / max(*sizes, _TINY)
-        return fine, of_points, _TAIL * _tails(fine, direct[0], effort.lattice)
+        return fine, of_points, _TAIL * _tails(fine, lights[0], effort.lattice)
 
     def _interpolate(
         self, scenes: Scenes, chosen: Ints, sizes: Ints, values: Sequence[Ratios], out: NDArray[np.complex64]
@@ -205,10 +205,10 @@ def ratios(
     scene = upload_indices(seen.scene)
     ends = [dr.gather(mi.UInt32, upload_indices(each), scene) for each in (surface.first, surface.last)]
     index = dr.arange(mi.UInt32, len(seen.scene))
-    real, imaginary, power = kernels.over_direct(batch, scene, back, index, table, own, sent, *ends)
-    dr.eval(real, imaginary, power)
+    real, imaginary, direct_light = kernels.over_direct(batch, scene, back, index, table, own, sent, *ends)
+    dr.eval(real, imaginary, direct_light)
     sums = [np.array(re) + 1j * np.array(im) for re, im in zip(real, imaginary, strict=True)]
-    return np.stack(sums, axis=-1), np.array(power)
+    return np.stack(sums, axis=-1), np.array(direct_light)
 
 
 def direct(scenes: Scenes, seen: Nodes) -> Floats:
@@ -242,17 +242,17 @@ def _norm(values: Ratios) -> float:
     return float(np.linalg.norm(values))
 
 
-def _tails(values: Sequence[Ratios], direct: Sequence[Floats], sizes: Ints) -> Floats:
+def _tails(values: Sequence[Ratios], lights: Sequence[Floats], sizes: Ints) -> Floats:
     """(n,) norm of the last third of the polynomials along each side of lattices, over that of all.
 
-    It is that of the light in the pixels: the ratios at the nodes count with the `direct` light there, and
-    with the pixels for which a node stands.
+    It is that of the light in the pixels: the ratios at the nodes count with the direct light there, which is
+    `lights`, and with the pixels for which a node stands.
     """
     found = np.zeros(len(values))
     for across, down in np.unique(sizes, axis=0):
         places = np.flatnonzero((sizes == (across, down)).all(1))
         grid = np.stack([values[place] for place in places]).reshape(len(places), down, across, -1)
-        weight = np.stack([direct[place] for place in places]).reshape(len(places), down, across, 1)
+        weight = np.stack([lights[place] for place in places]).reshape(len(places), down, across, 1)
         weight = weight * np.outer(_root_pixels(int(down)), _root_pixels(int(across)))[..., None]
         of_rows = np.matmul(_last_third(int(down)), grid.reshape(len(places), down, -1)).reshape(grid.shape)
         of_columns = np.matmul(_last_third(int(across)), grid)

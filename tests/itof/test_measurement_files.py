@@ -136,7 +136,7 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(finished_run
         ("half.h5", "damaged or no HDF5 file"),
         ("half.exr", "damaged or no EXR"),
         ("truth.exr", "holds 20 MHz, the network also needs 50, 60 MHz"),
-        ("m.png", "measurements are read from .exr, .npz, .h5, .hdf5 files. Of raw frames, or of photon"),
+        ("m.png", "measurements are read from .exr, .npz, .h5, .hdf5 files: night-eval capture import"),
     ):
         message = refused(finished_run, tmp_path / name, tmp_path / "out")
         assert words in message, message
@@ -145,7 +145,7 @@ def test_files_that_hold_no_measurement_are_refused_in_one_sentence(finished_run
         assert not (tmp_path / "out").exists()
     for name, words in (
         ("no.h5", "no HDF5 file"),
-        ("other.h5", "no array phasors; it holds phasors. .*capture import .*other.h5 --sidecar"),
+        ("other.h5", "no array phasors; it holds phasors: .*capture import .*other.h5 --sidecar"),
         ("photo.exr", "holds no phasors"),
         ("dots.exr", "has the light of a projector of its own"),
     ):

@@ -151,6 +151,7 @@ def test_one_shape_or_mesh_needs_no_word_about_composites():
         ({"shape": "cube", "size_m": [0.1, 0.2, -1]}, r"object\.0\.size_m\.2 must be 0\.0001 to 1000 m"),
         ({"shape": "cube", "size_m": -1}, r"object\.0\.size_m must be 0\.0001 to 1000 m"),
         ({"shape": "cube", "size_m": "big"}, r"object\.0\.size_m must be a number"),
+        ({"shape": "cube", "size_m": {"x": 1}}, r"object\.0\.size_m must be a number"),
         ({"file": "/a.ply"}, "relative to the preset's own folder"),
         ({"file": "a.ply", "unit": "inch"}, r"object.*unit"),
         ({"file": "a.ply", "up": "y", "beside": [{"file": "a.ply", "up": "z"}]}, "has one up axis"),
