@@ -1,7 +1,10 @@
 """The trained networks that come with the program: found by name, whole, described, as good as they say."""
 
 import json
+import subprocess
+import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ import model
 from model.prediction.predictor import load
 from model.run_folder.run_config import RunError
 from model.run_folder.shipped import run_folder
+from scenegen import load_preset
 
 ROOT = Path(__file__).parents[3]
 MOST_BYTES = 40e6  # of all of them
@@ -30,6 +34,13 @@ def measurement(predictor):
     """The light of the run's wall, with some hidden light."""
     direct = predictor.reference
     return direct + 2e-3 * np.abs(direct) * np.exp(0.7j)
+
+
+def test_the_script_of_its_card_writes_the_preset_of_any_corner(tmp_path):
+    file = tmp_path / "any-object.toml"
+    subprocess.run([sys.executable, ROOT / "benchmarks" / "random_objects.py", file], check=True)
+    trained_on = load("any-corner", "cpu").config.fresh.preset
+    assert replace(load_preset(file), dataset=trained_on.dataset) == trained_on
 
 
 def test_there_is_one_and_all_together_are_small():
